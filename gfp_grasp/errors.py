@@ -1,0 +1,65 @@
+"""Every refusal of the package, by name. Each message says what came, what was expected and what to do."""
+
+
+class GfpGraspError(Exception):
+    """Base of every error that the package raises on purpose."""
+
+
+class InvalidCloud(GfpGraspError, ValueError):
+    """The cloud has the wrong shape or type, is degenerate, or cannot be in metres."""
+
+
+class TooFewPoints(InvalidCloud):
+    """Fewer finite points than the method needs."""
+
+
+class InvalidView(GfpGraspError, ValueError):
+    """Depth picture, intrinsics, pose or mask do not fit each other."""
+
+
+class NothingDetected(GfpGraspError):
+    """No object stands out from the support plane."""
+
+
+class UnknownCategory(GfpGraspError, ValueError):
+    """A category, shape family or primitive that is not among those on offer."""
+
+
+class FitDiverged(GfpGraspError):
+    """No start of the registration reached a plausible fit."""
+
+
+class InvalidMesh(GfpGraspError, ValueError):
+    """A mesh is empty, flat, not finite, badly indexed or not closed where it must be."""
+
+
+class UnreadableFile(GfpGraspError, ValueError):
+    """A file that cannot be read as what it should be."""
+
+
+class DecompositionFailed(GfpGraspError):
+    """Convex decomposition crashed, ran out of time or gave nothing usable, and no retry helped."""
+
+
+class InvalidOption(GfpGraspError, ValueError):
+    """An option or configuration value outside of what is legal; the message lists what is legal."""
+
+
+class UnknownCompleter(InvalidOption):
+    """A completer's name that is neither built in nor importable."""
+
+
+class InvalidAction(GfpGraspError, ValueError):
+    """An action that is not a finite vector of the action space."""
+
+
+class InvalidScene(GfpGraspError, ValueError):
+    """A scene that MuJoCo does not compile; the message names the part."""
+
+
+class AssetMissing(GfpGraspError, FileNotFoundError):
+    """A data file that ships with the package is not where it should be."""
+
+
+class BuildFailed(GfpGraspError):
+    """A primitive cannot be built from the meshes that were given."""
