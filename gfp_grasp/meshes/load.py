@@ -1,0 +1,106 @@
+"""Reading a mesh file, and refusing what is not a mesh."""
+
+from __future__ import annotations
+
+import io
+import re
+import struct
+import zlib
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from gfp_grasp.errors import InvalidMesh, UnreadableFile
+
+SUFFIXES = (".obj", ".stl", ".ply", ".glb", ".off")
+_LARGEST_BYTES = 1 << 30
+# What trimesh's readers are seen to raise on broken files; anything else would be our own mistake.
+_READER_ERRORS = (
+    ArithmeticError,
+    AssertionError,
+    AttributeError,
+    EOFError,
+    LookupError,
+    MemoryError,
+    NameError,
+    OSError,
+    RuntimeError,
+    TypeError,
+    ValueError,
+    struct.error,
+    zlib.error,
+)
+
+
+def load_mesh(path: str | Path) -> trimesh.Trimesh:
+    """Read one triangle mesh; the pieces of a scene are merged into one, vertices that coincide are joined.
+
+    Nothing outside the file is opened: materials, textures and other links are left alone.
+
+    Args:
+        path: OBJ, STL, PLY, GLB or OFF file, in metres as stored.
+
+    Raises:
+        UnreadableFile: Not there, of another suffix, or not what its suffix says.
+        InvalidMesh: It reads, but holds no usable triangles.
+    """
+    path = Path(path)
+    if path.suffix.lower() not in SUFFIXES:
+        raise UnreadableFile(f"{path.name}: suffix {path.suffix!r} is not among {', '.join(SUFFIXES)}")
+    try:
+        size = path.stat().st_size
+        if not 0 < size <= _LARGEST_BYTES:
+            raise UnreadableFile(f"{path.name} has {size} bytes; 1 to {_LARGEST_BYTES} are read")
+        content = path.read_bytes()
+    except OSError as error:
+        raise UnreadableFile(f"{path} cannot be read: {error.strerror}") from error
+    try:
+        mesh = _parse(content, path.suffix.lower()[1:])
+    except _READER_ERRORS as error:
+        reason = f"{type(error).__name__}: {str(error)[:200]}"
+        raise UnreadableFile(f"{path.name} is not a readable {path.suffix[1:].upper()} mesh ({reason})") from error
+    try:
+        return check_mesh(mesh)
+    except InvalidMesh as error:
+        raise InvalidMesh(f"{path.name}: {error}") from error
+
+
+def check_mesh(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """Return the mesh if it is a usable triangle mesh; it need not be closed.
+
+    Raises:
+        InvalidMesh: Not a mesh, empty, not finite, badly indexed, or of no extent or area.
+    """
+    if not isinstance(mesh, trimesh.Trimesh):
+        raise InvalidMesh(f"{type(mesh).__name__} came; a trimesh.Trimesh is expected")
+    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    if len(vertices) < 3 or len(faces) < 1:
+        raise InvalidMesh(f"mesh has {len(vertices)} vertices and {len(faces)} faces; at least one triangle is needed")
+    if faces.min() < 0 or faces.max() >= len(vertices):
+        raise InvalidMesh(f"face indices run from {faces.min()} to {faces.max()}; 0 to {len(vertices) - 1} are legal")
+    used = vertices[faces]
+    if not np.isfinite(used).all():
+        raise InvalidMesh("mesh has vertices that are not finite: repair or re-export it")
+    extents = used.max(axis=(0, 1)) - used.min(axis=(0, 1))
+    if extents.max() > 1e6:
+        raise InvalidMesh(f"mesh spans {extents.max():.3g} m: are its units metres, and are there stray vertices?")
+    flat = np.linalg.matrix_rank(used.reshape(-1, 3) - used.reshape(-1, 3).mean(axis=0), tol=1e-9 * extents.max()) < 3
+    if extents.max() <= 0 or flat:
+        raise InvalidMesh(
+            f"mesh is flat: its extents are {np.round(extents, 9).tolist()} m and its points lie in a plane"
+        )
+    return mesh
+
+
+def _parse(content: bytes, suffix: str) -> trimesh.Trimesh:
+    if suffix == "off":
+        # Part of ModelNet's files write the counts behind the magic word, on one line.
+        content = re.sub(rb"^(\s*C?OFF)(?=\d)", rb"\1\n", content, count=1)
+    options = {"skip_materials": True} if suffix == "obj" else {}
+    loaded = trimesh.load_scene(io.BytesIO(content), file_type=suffix, process=False, **options)
+    mesh = loaded.to_mesh()
+    mesh = trimesh.Trimesh(np.array(mesh.vertices), np.array(mesh.faces), process=False, validate=False)
+    if len(mesh.faces) and 0 <= mesh.faces.min() and mesh.faces.max() < len(mesh.vertices):
+        mesh.merge_vertices()
+    return mesh
