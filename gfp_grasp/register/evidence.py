@@ -1,0 +1,215 @@
+"""What one view says about one object, in the form that the fit reads."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from gfp_grasp.errors import TooFewPoints
+from gfp_grasp.transforms import apply_T, invert_T, look_at
+from gfp_grasp.types import Detection, DepthImage
+
+MIN_POINTS = 20
+
+# A surface may lie this far in front of a return before the ray to the return contradicts it: sensor noise at 1 m.
+_FREE_MARGIN_M = 0.006
+
+
+@dataclass(frozen=True, eq=False)
+class Silhouette:
+    """Where the object was seen in a picture, and where it cannot be.
+
+    Attributes:
+        K: (3, 3) px.
+        T_camera_world: (4, 4).
+        depth_m: (h, w) m, infinity where the picture says nothing about what is nearer.
+        certain: The picture is a real view: pixels outside of the mask saw something farther.
+        offset_px: (2, h, w) px (row, column) from each pixel to the nearest pixel of the mask.
+    """
+
+    K: np.ndarray
+    T_camera_world: np.ndarray
+    free_depth_m: np.ndarray
+    certain: bool
+    offset_px: np.ndarray
+
+    def trespass(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Points that lie where the view says there is nothing, and the way back.
+
+        Args:
+            points: (n, 3) m, world.
+
+        Returns:
+            Index (t,) of the trespassing points and the displacement (t, 3) m, world, that brings each onto the ray
+            of the nearest pixel of the object at the same depth.
+        """
+        camera = apply_T(self.T_camera_world, points)
+        z = np.maximum(camera[:, 2], 1e-6)
+        column = np.rint(camera[:, 0] / z * self.K[0, 0] + self.K[0, 2]).astype(np.int64)
+        row = np.rint(camera[:, 1] / z * self.K[1, 1] + self.K[1, 2]).astype(np.int64)
+        height, width = self.free_depth_m.shape
+        inside = np.flatnonzero((row >= 0) & (row < height) & (column >= 0) & (column < width))
+        row, column = row[inside], column[inside]
+        out = z[inside] + _FREE_MARGIN_M < self.free_depth_m[row, column]
+        offset = self.offset_px[:, row[out], column[out]]
+        moved = offset.any(axis=0)
+        index = inside[out][moved]
+        offset = offset[:, moved]
+        step = np.column_stack([offset[1] / self.K[0, 0], offset[0] / self.K[1, 1], np.zeros(len(index))])
+        return index, (step * z[index, None]) @ self.T_camera_world[:3, :3]
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """One object's observation, thinned.
+
+    Attributes:
+        points: (n, 3) m, spread evenly over what was seen.
+        normals: (n, 3) unit, towards the viewpoint where there is one.
+        oriented: Whether the sign of the normals means anything.
+        viewpoint: (3,) m or None.
+        up: (3,) unit.
+        floor_m: Height along up that the object's lowest point has, as far as known.
+        floor_sigma_m: How sure that is, for a surface that ends above it and one that ends below it.
+        silhouette: Or None without a viewpoint.
+        sigma_m: Standard deviation of the points' noise.
+    """
+
+    points: np.ndarray
+    normals: np.ndarray
+    oriented: bool
+    viewpoint: np.ndarray | None
+    up: np.ndarray
+    floor_m: float
+    floor_sigma_m: tuple[float, float]
+    silhouette: Silhouette | None
+    sigma_m: float
+
+
+def gather_evidence(detection: Detection, *, num_points: int = 400) -> Evidence:
+    """Thin a detection's cloud, estimate normals and read its view.
+
+    Args:
+        detection: One object, n >= MIN_POINTS.
+        num_points: About how many points are kept.
+
+    Raises:
+        TooFewPoints: Fewer than MIN_POINTS points.
+    """
+    points = detection.cloud.points
+    if len(points) < MIN_POINTS:
+        raise TooFewPoints(f"cloud has {len(points)} points, {MIN_POINTS} are needed: is the object in view?")
+    viewpoint = detection.cloud.viewpoint
+    dense = thin(points, 4000)
+    sparse = thin(dense, num_points)
+    normals = estimate_normals(dense, sparse, viewpoint)
+    heights = dense @ detection.up
+    if detection.support is not None:
+        floor, floor_sigma = detection.support.height_m, (0.002, 0.002)
+    else:
+        # The lowest point seen is an upper bound of the floor; seen from above, the front foot is near it.
+        floor, floor_sigma = float(np.quantile(heights, 0.005)), (0.002, 0.006)
+    if detection.view is not None and detection.mask is not None:
+        silhouette = _silhouette_of_view(detection.view, detection.mask)
+    elif viewpoint is not None:
+        silhouette = _silhouette_of_points(dense, viewpoint, detection.up)
+    else:
+        silhouette = None
+    return Evidence(
+        points=sparse,
+        normals=normals,
+        oriented=viewpoint is not None,
+        viewpoint=viewpoint,
+        up=detection.up,
+        floor_m=floor,
+        floor_sigma_m=floor_sigma,
+        silhouette=silhouette,
+        sigma_m=detection.sensor_sigma_m,
+    )
+
+
+def thin(points: np.ndarray, count: int) -> np.ndarray:
+    """At most about count points, at most one to a cell of a grid, whatever the order they come in.
+
+    Args:
+        points: (n, 3) m.
+        count: Aimed at; the grid is refined until the number of cells is near it.
+
+    Returns:
+        (m, 3) of the given points, m <= 1.2 * count, each the nearest to its cell's mean.
+    """
+    if len(points) <= count:
+        return points
+    origin = points.min(axis=0)
+    low, high = 1e-5, float(np.ptp(points, axis=0).max()) + 1e-9
+    cells = np.empty(0)
+    for _ in range(18):
+        size = np.sqrt(low * high)
+        cells = _cell_ids(points, origin, size)
+        num_cells = len(np.unique(cells))
+        if count <= num_cells <= 1.2 * count:
+            break
+        low, high = (low, size) if num_cells < count else (size, high)
+    else:
+        cells = _cell_ids(points, origin, high)
+    _, first, inverse, counts = np.unique(cells, return_index=True, return_inverse=True, return_counts=True)
+    means = np.column_stack([np.bincount(inverse, points[:, axis]) for axis in range(3)]) / counts[:, None]
+    distance = np.linalg.norm(points - means[inverse], axis=1)
+    order = np.lexsort((points[:, 2], points[:, 1], points[:, 0], distance, inverse))
+    return points[order[np.searchsorted(inverse[order], np.arange(len(first)))]]
+
+
+def estimate_normals(
+    cloud: np.ndarray, at: np.ndarray, viewpoint: np.ndarray | None, *, num_neighbours: int = 16
+) -> np.ndarray:
+    """Unit normals (m, 3) of a cloud (n, 3) at some of its points (m, 3), towards the viewpoint where there is one."""
+    count = min(num_neighbours, len(cloud))
+    neighbours = cloud[cKDTree(cloud).query(at, k=count)[1]]
+    centred = neighbours - neighbours.mean(axis=1, keepdims=True)
+    _, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", centred, centred))
+    normals = vectors[:, :, 0]
+    if viewpoint is not None:
+        away = np.einsum("ni,ni->n", normals, viewpoint - at) < 0
+        normals = np.where(away[:, None], -normals, normals)
+    return normals
+
+
+def _cell_ids(points: np.ndarray, origin: np.ndarray, size: float) -> np.ndarray:
+    cell = np.floor((points - origin) / size).astype(np.int64)
+    return (cell[:, 0] * 2_000_003 + cell[:, 1]) * 2_000_003 + cell[:, 2]
+
+
+def _silhouette_of_view(view: DepthImage, mask: np.ndarray) -> Silhouette:
+    # Only a return that is farther proves a pixel empty up to it; no return (0) and nearer returns prove nothing.
+    free = np.where(mask, 0.0, view.depth_m).astype(np.float64)
+    return Silhouette(view.K, invert_T(view.T_world_camera), free, True, _offset_to(mask))
+
+
+def _silhouette_of_points(points: np.ndarray, viewpoint: np.ndarray, up: np.ndarray) -> Silhouette:
+    """A picture of the cloud alone: a pixel as wide as the spacing of the points, small holes closed."""
+    T_world_camera = look_at(viewpoint, points.mean(axis=0), up)
+    camera = apply_T(invert_T(T_world_camera), points)
+    z = np.maximum(camera[:, 2], 1e-6)
+    xy = camera[:, :2] / z[:, None]
+    spacing = np.median(cKDTree(xy).query(xy, k=2)[0][:, 1]) + 1e-9
+    low, high = xy.min(axis=0), xy.max(axis=0)
+    focal = min(1.0 / (1.5 * spacing), 250.0 / max(float((high - low).max()), 1e-9))
+    pad = 60
+    K = np.array([[focal, 0, pad - low[0] * focal], [0, focal, pad - low[1] * focal], [0, 0, 1]])
+    width, height = (np.ceil((high - low) * focal).astype(int) + 2 * pad + 1).tolist()
+    mask = np.zeros((height, width), dtype=bool)
+    column, row = np.rint(xy * focal + pad - low * focal).astype(int).T
+    mask[row, column] = True
+    mask = ndimage.binary_closing(mask, structure=np.ones((3, 3)), iterations=2)
+    free = np.where(mask, 0.0, np.inf)
+    return Silhouette(K, invert_T(T_world_camera), free, False, _offset_to(mask))
+
+
+def _offset_to(mask: np.ndarray) -> np.ndarray:
+    if not mask.any():
+        return np.zeros((2, *mask.shape))
+    nearest = ndimage.distance_transform_edt(~mask, return_distances=False, return_indices=True)
+    return (nearest - np.indices(mask.shape)).astype(np.float64)

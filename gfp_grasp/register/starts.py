@@ -1,0 +1,123 @@
+"""Where the fit starts: how the object may rest on its support, and how it may be turned."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from gfp_grasp.register.evidence import Evidence
+from gfp_grasp.register.modes import PoseShape
+from gfp_grasp.transforms import rotation_about, rotation_between
+from gfp_grasp.types import GenericPrimitive
+
+# Negative log odds of how things rest on tables; ours, from the share of each in common table scenes, not measured.
+HYPOTHESIS_COST = {"upright": 0.0, "upside_down": 4.0, "lying": 6.0}
+_STANDING_SIGMA_RAD = np.deg2rad(1.0)
+_LYING_SIGMA_RAD = np.deg2rad(15.0)
+_HANDLE_YAWS = 8
+
+
+def starts(primitive: GenericPrimitive, evidence: Evidence, hypotheses: tuple[str, ...]) -> list[PoseShape]:
+    """Starts for each hypothesis, from the box of the points and the direction they were seen from.
+
+    The hidden side is placed by the seen width: an object is about as deep as it is wide.
+    """
+    up, toward = evidence.up, _toward_viewer(evidence)
+    found = []
+    for hypothesis in hypotheses:
+        if hypothesis == "lying":
+            for axis in _long_axes(evidence):
+                found.append(_start(primitive, evidence, hypothesis, axis, up, _LYING_SIGMA_RAD))
+            continue
+        axis = up if hypothesis == "upright" else -up
+        for yaw in _yaws(primitive):
+            facing = rotation_about(up, yaw) @ toward
+            found.append(_start(primitive, evidence, hypothesis, axis, facing, _STANDING_SIGMA_RAD))
+    return found
+
+
+def _start(
+    primitive: GenericPrimitive,
+    evidence: Evidence,
+    hypothesis: str,
+    axis: np.ndarray,
+    facing: np.ndarray,
+    axis_sigma_rad: float,
+) -> PoseShape:
+    """A start whose z is axis and whose x is as near facing as it can be."""
+    x = facing - (facing @ axis) * axis
+    x /= np.linalg.norm(x)
+    R = np.column_stack([x, np.cross(axis, x), axis])
+    up, toward = evidence.up, _toward_viewer(evidence)
+    points = evidence.points
+    body = primitive.vertices[primitive.regions != 2] if (primitive.regions != 2).any() else primitive.vertices
+    mean_size = np.ptp(body, axis=0)
+    along = points @ axis
+    low, high = (float(a) for a in np.quantile(along, (0.005, 0.995)))
+    if hypothesis == "upright":
+        low = min(low, evidence.floor_m)
+    elif hypothesis == "upside_down":
+        high = max(high, -evidence.floor_m)
+    # The side that is seen whole is the one across both the axis and the line of sight.
+    across = np.cross(axis, toward)
+    if np.linalg.norm(across) < 0.3:
+        across = np.cross(axis, up)
+    across /= np.linalg.norm(across)
+    deep = np.cross(across, axis)
+    deep *= np.sign(deep @ toward) or 1.0
+    left, right = (float(a) for a in np.quantile(points @ across, (0.01, 0.99)))
+    near = float(np.quantile(points @ deep, 0.99))
+    if hypothesis == "lying":
+        width = max(float(np.quantile(points @ up, 0.99)) - evidence.floor_m, 1e-3)
+        centre = axis * low + across * (left + right) / 2
+        # What lies is as high as it is thick: its middle is half of that above the support.
+        level = evidence.floor_m + width / 2
+        flat = np.cross(up, axis)
+        flat /= np.linalg.norm(flat)
+        centre = axis * low + up * level + flat * float(np.median(points @ flat))
+    else:
+        width = max(right - left, 1e-3)
+        centre = axis * low + across * (left + right) / 2 + deep * (near - width / 2)
+    sigma = 2.0 * np.sqrt(np.diag(primitive.log_scale_cov) + 1e-4)
+    wide = np.log(width / mean_size[:2].mean())
+    log_scale = np.clip([wide, wide, np.log(max(high - low, 1e-3) / mean_size[2])], -sigma, sigma)
+    return PoseShape(
+        R=R,
+        t=centre,
+        log_scale=np.asarray(log_scale),
+        coefficients=np.zeros(len(primitive.modes)),
+        axis_world=axis,
+        axis_sigma_rad=float(axis_sigma_rad),
+        hypothesis=hypothesis,
+    )
+
+
+def _toward_viewer(evidence: Evidence) -> np.ndarray:
+    """Horizontal unit direction from the points to the viewer; without one, the shortest side of the points."""
+    up = evidence.up
+    flat = np.eye(3) - np.outer(up, up)
+    centred = (evidence.points - evidence.points.mean(axis=0)) @ flat
+    if evidence.viewpoint is not None:
+        toward = flat @ (evidence.viewpoint - evidence.points.mean(axis=0))
+        if np.linalg.norm(toward) > 1e-3:
+            return toward / np.linalg.norm(toward)
+    basis = rotation_between((0, 0, 1), up)[:, :2]
+    _, vectors = np.linalg.eigh((centred @ basis).T @ (centred @ basis))
+    return basis @ vectors[:, 0]
+
+
+def _long_axes(evidence: Evidence) -> list[np.ndarray]:
+    """Horizontal directions that a lying object's axis may have: along the points and across them, both ways."""
+    basis = rotation_between((0, 0, 1), evidence.up)[:, :2]
+    flat = (evidence.points - evidence.points.mean(axis=0)) @ basis
+    _, vectors = np.linalg.eigh(flat.T @ flat)
+    long, short = basis @ vectors[:, 1], basis @ vectors[:, 0]
+    return [long, -long, short, -short]
+
+
+def _yaws(primitive: GenericPrimitive) -> np.ndarray:
+    order = primitive.symmetry.order
+    if np.isinf(order):
+        return np.array([0.0, np.pi / 4])  # an oval member of a round class is turned by one of these, nearly
+    if order > 1:
+        return np.arange(3) / 3 * 2 * np.pi / order
+    return np.arange(_HANDLE_YAWS) / _HANDLE_YAWS * 2 * np.pi
