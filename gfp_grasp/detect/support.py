@@ -1,0 +1,192 @@
+"""The plane that objects rest on, by RANSAC."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError, cKDTree
+from sklearn.exceptions import UndefinedMetricWarning
+from sklearn.linear_model import LinearRegression, RANSACRegressor
+
+from gfp_grasp.errors import InvalidOption
+from gfp_grasp.transforms import rotation_between
+from gfp_grasp.types import SupportPlane
+
+CAMERA_UPS = ((0.0, -1.0, 0.0), (0.0, 0.0, -1.0), (1.0, 0.0, 0.0), (-1.0, 0.0, 0.0))  # gravity is mostly +y there
+
+
+@dataclass(frozen=True)
+class SupportConfig:
+    """How a support plane is looked for.
+
+    Attributes:
+        inlier_m: Half thickness of the plane's slab, m.
+        max_tilt_deg: Angle between the plane's normal and a given up, degrees.
+        min_share: Points of the plane among all.
+        min_spread: Area of the plane's outline over that of what stands within it: a table reaches beyond its objects.
+        max_below: Points below the plane and within its outline, over those above.
+        min_facing: Share of the plane's points whose own surface faces along its normal within 25 degrees.
+        max_planes: Planes that are tried for each direction, biggest first.
+    """
+
+    inlier_m: float = 0.006
+    max_tilt_deg: float = 20.0
+    min_share: float = 0.08
+    min_spread: float = 1.2
+    max_below: float = 0.04
+    min_facing: float = 0.6
+    max_planes: int = 3
+
+    def __post_init__(self) -> None:
+        if self.inlier_m <= 0 or not 0 < self.max_tilt_deg < 60 or not 0 < self.min_share < 1 or self.max_planes < 1:
+            raise InvalidOption(f"{self}: lengths and counts are positive, max_tilt_deg below 60, min_share below 1")
+
+
+_VOXEL_M = 0.004  # evens out the density, so that a plane counts by its area
+_SAMPLE = 120_000  # points before, and
+_FIT_SAMPLE = 4_000  # points after that evening out: hypotheses need no more
+_NUM_NORMALS = 300
+_NORMAL_NEIGHBOURS = 40  # on the 4 mm grid, a disc of 14 mm radius: wide enough against 3 mm of noise
+_CAMERA_TILT_DEG = 50.0  # a camera that looks down at a table by 40 to 90 degrees still has it within this of an axis
+
+
+def find_support(
+    points: np.ndarray,
+    up: np.ndarray | None = (0.0, 0.0, 1.0),  # type: ignore[assignment]
+    *,
+    viewpoint: np.ndarray | None = None,
+    config: SupportConfig = SupportConfig(),
+) -> SupportPlane | None:
+    """The plane that the objects of a cloud rest on.
+
+    Among the planes that RANSAC finds, the one with most points that lies below what stands within its outline and
+    reaches beyond it; so neither the top of a box nor the bottom of a cup nor a flat bottle's side is taken for it.
+
+    Args:
+        points: (n, 3) finite, m.
+        up: (3,) roughly the plane's normal; None tries the axes of the frame, taken as a camera's (y down).
+        viewpoint: (3,) m, where the camera stood; where up is None the plane faces it, and it is taken to be the
+            origin unless given.
+        config: Tolerances.
+
+    Returns:
+        The plane, its normal towards up or the camera; None where there is no such plane.
+    """
+    rng = np.random.default_rng(0)  # the same cloud has the same table
+    sample = _even_sample(np.asarray(points, dtype=np.float64), rng)
+    if len(sample) < 50:
+        return None
+    directions = CAMERA_UPS if up is None else (up,)
+    eye = np.zeros(3) if viewpoint is None else np.asarray(viewpoint, dtype=np.float64)
+    tilt_deg = _CAMERA_TILT_DEG if up is None else config.max_tilt_deg
+    best, best_score = None, 0.0
+    for direction in directions:
+        for plane in _planes(sample, np.asarray(direction, dtype=np.float64), tilt_deg, config):
+            if up is None:
+                plane = _facing(plane, eye)
+            score = _support_score(plane, sample, config)
+            if score > best_score:
+                best, best_score = plane, score
+    return best
+
+
+def _even_sample(points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    if len(points) > _SAMPLE:
+        points = points[np.sort(rng.choice(len(points), _SAMPLE, replace=False))]
+    cells = np.floor((points - points.min(axis=0)) / _VOXEL_M).astype(np.int64)
+    extent = cells.max(axis=0) + 1
+    _, first = np.unique((cells[:, 0] * extent[1] + cells[:, 1]) * extent[2] + cells[:, 2], return_index=True)
+    return points[np.sort(first)]
+
+
+def _planes(sample: np.ndarray, up: np.ndarray, tilt_deg: float, config: SupportConfig) -> Iterator[SupportPlane]:
+    """Planes within tilt_deg of up, biggest first, each refined by least squares on its inliers."""
+    R = rotation_between(up, (0.0, 0.0, 1.0))  # heights are regressed on the ground, so up must be z
+    rest = sample @ R.T
+    max_slope = np.tan(np.radians(tilt_deg))
+    min_inliers = max(30, int(config.min_share * len(sample)))
+    for k in range(config.max_planes):
+        if len(rest) < min_inliers:
+            return
+        fitted = rest[np.random.default_rng(k).permutation(len(rest))[:_FIT_SAMPLE]]
+        ransac = RANSACRegressor(
+            LinearRegression(),
+            min_samples=3,
+            residual_threshold=config.inlier_m,
+            is_model_valid=lambda model, *_: bool(np.hypot(*model.coef_) < max_slope),
+            max_trials=150,
+            max_skips=2000,
+            stop_probability=0.999,
+            random_state=k,
+        )
+        try:
+            with warnings.catch_warnings():
+                warnings.simplefilter("ignore", UndefinedMetricWarning)
+                ransac.fit(fitted[:, :2], fitted[:, 2])
+        except ValueError:  # no plane at all within the tilt
+            return
+        slope, offset = ransac.estimator_.coef_, float(ransac.estimator_.intercept_)
+        inlier = np.abs(rest[:, 2] - rest[:, :2] @ slope - offset) < config.inlier_m
+        if inlier.sum() < min_inliers:
+            return
+        refined = LinearRegression().fit(rest[inlier, :2], rest[inlier, 2])
+        normal = np.append(-refined.coef_, 1.0)
+        length = float(np.linalg.norm(normal))
+        if np.hypot(*refined.coef_) < max_slope:
+            yield SupportPlane(R.T @ normal / length, float(refined.intercept_) / length)
+        rest = rest[~inlier]
+
+
+def _facing(plane: SupportPlane, eye: np.ndarray) -> SupportPlane:
+    return plane if plane.distances(eye[None])[0] >= 0 else SupportPlane(-plane.normal, -plane.height_m)
+
+
+def _support_score(plane: SupportPlane, sample: np.ndarray, config: SupportConfig) -> float:
+    """Share of the sample on the plane where it can be the support, else 0."""
+    distances = plane.distances(sample)
+    ground = sample @ rotation_between(plane.normal, (0.0, 0.0, 1.0))[:2].T
+    on = np.abs(distances) < config.inlier_m
+    outline = _outline(ground[on])
+    if outline is None:
+        return 0.0
+    inside = _within(outline, ground, margin_m=0.005)
+    above = inside & (distances > 2 * config.inlier_m)
+    below = inside & (distances < -2 * config.inlier_m)
+    num_above = int(above.sum())
+    if num_above < 20 or below.sum() > config.max_below * (num_above + on.sum()):
+        return 0.0
+    # What stands on a table is within its outline, and the table goes on beyond it.
+    if num_above < 0.5 * (distances > 2 * config.inlier_m).sum() and num_above < 0.3 * on.sum():
+        return 0.0
+    standing = _outline(ground[above])
+    if standing is not None and outline.volume < config.min_spread * standing.volume:
+        return 0.0
+    if _share_facing_along(plane.normal, sample, on) < config.min_facing:
+        return 0.0
+    return float(on.mean())
+
+
+def _share_facing_along(normal: np.ndarray, sample: np.ndarray, on: np.ndarray) -> float:
+    """Share of the plane's points whose own neighbourhood faces along its normal: a slab cut out of a body does not."""
+    chosen = np.flatnonzero(on)
+    chosen = chosen[:: -(-len(chosen) // _NUM_NORMALS)]
+    _, near = cKDTree(sample).query(sample[chosen], k=_NORMAL_NEIGHBOURS)
+    local = sample[near] - sample[near].mean(axis=1, keepdims=True)
+    _, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", local, local))
+    return float((np.abs(axes[:, :, 0] @ normal) > np.cos(np.radians(25.0))).mean())
+
+
+def _outline(ground: np.ndarray) -> ConvexHull | None:
+    if len(ground) < 10:
+        return None
+    try:
+        return ConvexHull(ground)  # its `volume` is an area in two dimensions
+    except QhullError:
+        return None
+
+
+def _within(outline: ConvexHull, ground: np.ndarray, *, margin_m: float) -> np.ndarray:
+    return (ground @ outline.equations[:, :2].T + outline.equations[:, 2] <= margin_m).all(axis=1)
