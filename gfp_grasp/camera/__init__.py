@@ -1,0 +1,48 @@
+"""Depth pictures: pinhole geometry, a sensor's noise, viewpoints, and renderers with and without OpenGL.
+
+`render_depth` needs MuJoCo and is loaded at first use; everything else here is numpy, scipy and Embree.
+"""
+
+from typing import TYPE_CHECKING
+
+from gfp_grasp.camera.cast import cast_rays, render_mesh_view
+from gfp_grasp.camera.organised import view_from_points
+from gfp_grasp.camera.pinhole import (
+    backproject,
+    camera_points,
+    cloud_of,
+    intrinsics,
+    pixel_rays,
+    project,
+    surface_normals,
+)
+from gfp_grasp.camera.sensor import SensorModel, apply_sensor
+from gfp_grasp.camera.views import sample_viewpoint
+
+if TYPE_CHECKING:
+    from gfp_grasp.camera.render import render_depth
+
+__all__ = [
+    "SensorModel",
+    "apply_sensor",
+    "backproject",
+    "camera_points",
+    "cast_rays",
+    "cloud_of",
+    "intrinsics",
+    "pixel_rays",
+    "project",
+    "render_depth",
+    "render_mesh_view",
+    "sample_viewpoint",
+    "surface_normals",
+    "view_from_points",
+]
+
+
+def __getattr__(name: str) -> object:
+    if name == "render_depth":
+        from gfp_grasp.camera.render import render_depth
+
+        return render_depth
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,0 +1,108 @@
+"""Depth of bare meshes by Embree's rays: no OpenGL, no simulator, both sides of every face are seen."""
+
+from collections.abc import Sequence
+
+import numpy as np
+import trimesh
+
+from gfp_grasp.camera.pinhole import pixel_rays
+from gfp_grasp.errors import InvalidMesh
+from gfp_grasp.transforms import apply_T, invert_T
+from gfp_grasp.types import DepthImage
+
+# Beyond this a desk-top depth camera returns nothing; it also ends the table, which is a whole plane.
+FARTHEST_M = 3.0
+
+
+def render_mesh_view(
+    meshes: Sequence[trimesh.Trimesh],
+    *,
+    T_world_camera: np.ndarray,
+    K: np.ndarray,
+    width: int,
+    height: int,
+    table_height: float | None = None,
+    farthest_m: float = FARTHEST_M,
+) -> tuple[DepthImage, np.ndarray]:
+    """An ideal depth picture of meshes, and of a horizontal table under them.
+
+    Args:
+        meshes: World frame, m; open meshes are seen from both sides.
+        T_world_camera: (4, 4), OpenCV camera.
+        K: (3, 3) px.
+        width: Columns.
+        height: Rows.
+        table_height: z of the table, m; None leaves it out.
+        farthest_m: Nothing farther along the optical axis is returned.
+
+    Returns:
+        The picture, and index (h, w) int32 of the mesh that each pixel saw: len(meshes) is the table, -1 nothing.
+
+    Raises:
+        InvalidMesh: A vertex is not finite or a face index points outside (Embree would crash on it).
+    """
+    T_camera_world = invert_T(T_world_camera)
+    rays = pixel_rays(K, width, height).reshape(-1, 3)
+    triangles = [apply_T(T_camera_world, _checked_triangles(mesh, index)) for index, mesh in enumerate(meshes)]
+    depth, _, index = cast_rays(triangles, np.zeros(3), rays)
+    if table_height is not None:
+        table = _table_depth(rays, T_camera_world, table_height)
+        index = np.where(table < depth, len(meshes), index)
+        depth = np.minimum(depth, table)
+    lost = depth > farthest_m
+    depth, index = np.where(lost, 0.0, depth), np.where(lost, -1, index)
+    image = DepthImage(depth.reshape(height, width), K, T_world_camera)
+    return image, index.reshape(height, width).astype(np.int32)
+
+
+def cast_rays(
+    triangles: Sequence[np.ndarray], origins: np.ndarray, directions: np.ndarray
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """First hit of each ray on several triangle soups.
+
+    Args:
+        triangles: One (f, 3, 3) array m a soup.
+        origins: (r, 3) or (3,) m.
+        directions: (r, 3), of any length.
+
+    Returns:
+        Distances (r,) in units of each direction's length, inf where nothing is hit; the triangle (r,) int that was
+        hit, in its soup, and the soup (r,) int; both -1 where nothing is hit. Embree works in float32.
+    """
+    from embreex.mesh_construction import TriangleMesh
+    from embreex.rtcore_scene import EmbreeScene
+
+    directions = np.ascontiguousarray(directions, dtype=np.float32)
+    origins = np.ascontiguousarray(np.broadcast_to(origins, directions.shape), dtype=np.float32)
+    scene = EmbreeScene(robust=True)  # without it rays slip through shared edges
+    soups = [(number, soup) for number, soup in enumerate(triangles) if len(soup)]
+    # Embree numbers its geometries in the order of their making and reads their memory later: they are kept.
+    kept = [TriangleMesh(scene, np.ascontiguousarray(soup, dtype=np.float32)) for _, soup in soups]
+    if not kept:
+        nothing = np.full(len(directions), -1)
+        return np.full(len(directions), np.inf), nothing, nothing.copy()
+    hit = scene.run(origins, directions, query="INTERSECT", output=1)
+    geometry, missed = hit["geomID"].astype(np.int64), hit["primID"] < 0
+    numbers = np.array([number for number, _ in soups])
+    soup_of = np.where(missed, -1, numbers[np.where(missed, 0, geometry)])
+    distance = np.where(missed, np.inf, hit["tfar"].astype(np.float64))
+    return distance, np.where(missed, -1, hit["primID"]).astype(np.int64), soup_of
+
+
+def _table_depth(rays: np.ndarray, T_camera_world: np.ndarray, table_height: float) -> np.ndarray:
+    """Depth (r,) m of the plane z = table_height along rays (r, 3) with z = 1; inf where a ray misses it."""
+    up = T_camera_world[:3, 2]
+    offset = up @ T_camera_world[:3, 3] + table_height
+    slope = rays @ up
+    with np.errstate(divide="ignore"):
+        depth = offset / slope
+    return np.where((depth > 0) & np.isfinite(depth), depth, np.inf)
+
+
+def _checked_triangles(mesh: trimesh.Trimesh, index: int) -> np.ndarray:
+    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    if not np.isfinite(vertices).all():
+        raise InvalidMesh(f"mesh {index} has vertices that are not finite: clean it before it is rendered")
+    if len(faces) and not (faces.min() >= 0 and faces.max() < len(vertices)):
+        raise InvalidMesh(f"mesh {index} has a face index outside its {len(vertices)} vertices")
+    return vertices[faces]
