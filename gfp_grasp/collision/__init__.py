@@ -1,0 +1,34 @@
+"""Convex parts that stand for a mesh: CoACD in a guarded child process, or a template's parts carried along.
+
+Importing this package loads neither CoACD nor scipy: the guard's child process imports it too, and starts faster so.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from gfp_grasp.collision.carry import carry_parts
+    from gfp_grasp.collision.choice import collision_of
+    from gfp_grasp.collision.config import DecomposeConfig
+    from gfp_grasp.collision.decomposition import decompose, decompose_fine, hull
+
+__all__ = ["DecomposeConfig", "carry_parts", "collision_of", "decompose", "decompose_fine", "hull"]
+
+_HOMES = {
+    "DecomposeConfig": "config",
+    "carry_parts": "carry",
+    "collision_of": "choice",
+    "decompose": "decomposition",
+    "decompose_fine": "decomposition",
+    "hull": "decomposition",
+}
+
+
+def __getattr__(name: str) -> object:
+    if name in _HOMES:
+        return getattr(import_module(f"{__name__}.{_HOMES[name]}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

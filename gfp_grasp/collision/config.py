@@ -1,0 +1,110 @@
+"""What CoACD may be asked for, and the limits it runs under."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import asdict, dataclass
+from typing import Literal
+
+from gfp_grasp.errors import InvalidOption
+
+_LIMITS = ("time_limit_s", "memory_limit_mb", "attempts")
+
+
+@dataclass(frozen=True)
+class DecomposeConfig:
+    """Options of CoACD 1.0.14 under their own names, and limits of the child process that runs it.
+
+    Source: https://github.com/SarahWeiii/CoACD (Wei et al., SIGGRAPH 2022).
+
+    Attributes:
+        threshold: Concavity that a part may keep, 0.01 to 1, as a share of the mesh scaled into a cube of half-width 1;
+            metres under real_metric. Smaller means more parts.
+        max_convex_hull: Most parts, by merging; -1 for no limit.
+        preprocess_mode: "off" hands the mesh to CoACD as it is, which needs a manifold; "on" remeshes it, which
+            inflates thin walls; "auto" is "off" for a mesh that is a closed volume once cleaned, and "on" for any other.
+        preprocess_resolution: Of the remeshing, 20 to 100.
+        resolution: Samples for the distance between surface and hull, 1000 to 10000.
+        mcts_nodes: Cutting planes a level of the tree search, 10 to 40.
+        mcts_iterations: Of the tree search, 60 to 2000.
+        mcts_max_depth: Of the tree search, 2 to 7.
+        pca: Turn the mesh to its principal axes first.
+        merge: Merge parts after cutting.
+        decimate: Limit the vertices of each part to max_ch_vertex.
+        max_ch_vertex: Most vertices a part, at least 4; only with decimate.
+        extrude: Thicken neighbouring parts along their common faces.
+        extrude_margin: How far, in the same unit as threshold; only with extrude.
+        apx_mode: Parts are convex hulls ("ch") or boxes ("box").
+        seed: Of the search.
+        real_metric: threshold is in metres.
+        time_limit_s: Seconds for all attempts together.
+        memory_limit_mb: Address space of the child process in MiB; POSIX only, None for no limit.
+        attempts: How often to try before giving up: as it is, with jitter, then coarser.
+    """
+
+    threshold: float = 0.05
+    max_convex_hull: int = -1
+    preprocess_mode: Literal["auto", "on", "off"] = "auto"
+    preprocess_resolution: int = 50
+    resolution: int = 2000
+    mcts_nodes: int = 20
+    mcts_iterations: int = 150
+    mcts_max_depth: int = 3
+    pca: bool = False
+    merge: bool = True
+    decimate: bool = False
+    max_ch_vertex: int = 256
+    extrude: bool = False
+    extrude_margin: float = 0.01
+    apx_mode: Literal["ch", "box"] = "ch"
+    seed: int = 0
+    real_metric: bool = False
+    time_limit_s: float = 120.0
+    memory_limit_mb: int | None = 4096
+    attempts: int = 4
+
+    def __post_init__(self) -> None:
+        # The bounds are those that CoACD's command line documents; under real_metric the unit is the mesh's own.
+        _number(self.threshold, "threshold", 0.0 if self.real_metric else 0.01, math.inf if self.real_metric else 1.0)
+        if self.max_convex_hull != -1:
+            _whole(self.max_convex_hull, "max_convex_hull", 1, 100_000, "; or -1 for no limit")
+        _choice(self.preprocess_mode, "preprocess_mode", ("auto", "on", "off"))
+        _whole(self.preprocess_resolution, "preprocess_resolution", 20, 100)
+        _whole(self.resolution, "resolution", 1000, 10_000)
+        _whole(self.mcts_nodes, "mcts_nodes", 10, 40)
+        _whole(self.mcts_iterations, "mcts_iterations", 60, 2000)
+        _whole(self.mcts_max_depth, "mcts_max_depth", 2, 7)
+        for name in ("pca", "merge", "decimate", "extrude", "real_metric"):
+            if not isinstance(getattr(self, name), bool):
+                raise InvalidOption(f"{name} is {getattr(self, name)!r}; True or False is expected")
+        _whole(self.max_ch_vertex, "max_ch_vertex", 4, 100_000)
+        _number(self.extrude_margin, "extrude_margin", 0.0, math.inf)
+        _choice(self.apx_mode, "apx_mode", ("ch", "box"))
+        _whole(self.seed, "seed", 0, 2**32 - 1)
+        _number(self.time_limit_s, "time_limit_s", 0.0, math.inf)
+        if self.memory_limit_mb is not None:
+            # Below this not even numpy loads, and every attempt would be lost without a word of why.
+            _whole(self.memory_limit_mb, "memory_limit_mb", 512, 2**31, "; or None for no limit")
+        _whole(self.attempts, "attempts", 1, 20)
+
+    def coacd_options(self) -> dict[str, float | int | bool | str]:
+        """Keyword arguments of coacd.run_coacd."""
+        return {name: value for name, value in asdict(self).items() if name not in _LIMITS}
+
+
+def _number(value: object, name: str, low: float, high: float) -> None:
+    real = isinstance(value, int | float) and not isinstance(value, bool)
+    if not real or not math.isfinite(value) or not low <= value <= high or (low == 0.0 and value == 0.0):
+        start = "above 0" if low == 0.0 else f"at least {low:g}"
+        end = "" if high == math.inf else f", at most {high:g}"
+        raise InvalidOption(f"{name} is {value!r}; a finite number {start}{end} is expected")
+
+
+def _whole(value: object, name: str, low: int, high: int, also: str = "") -> None:
+    if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
+        raise InvalidOption(f"{name} is {value!r}; a whole number from {low} to {high} is expected{also}")
+
+
+def _choice(value: object, name: str, legal: tuple[str, ...]) -> None:
+    if value not in legal:
+        raise InvalidOption(f"{name} is {value!r}; legal are {', '.join(legal)}")

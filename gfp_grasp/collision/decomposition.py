@@ -1,0 +1,182 @@
+"""CoACD on any mesh: checked first, run in a guarded child, tried again when it dies, and made fit for MuJoCo."""
+
+from __future__ import annotations
+
+import time
+import warnings
+from dataclasses import replace
+
+import numpy as np
+import trimesh
+
+from gfp_grasp.collision.config import DecomposeConfig
+from gfp_grasp.collision.convex import convex_part, convex_parts, volume_m3
+from gfp_grasp.collision.fidelity import union_error_m, union_volume_m3
+from gfp_grasp.collision.guard import ChildLostError, run_guarded
+from gfp_grasp.errors import DecompositionFailed, InvalidMesh
+from gfp_grasp.meshes import check_mesh
+from gfp_grasp.types import CollisionMesh, ConvexPart
+
+# Walls of 1.5 mm, rims and handles keep their shape below this; half of it doubles the parts for no better union.
+_FINE = DecomposeConfig(threshold=0.02, resolution=4000, time_limit_s=900.0)
+# An attempt that hangs must leave time for the next.
+_SHARE_OF_TIME = 0.5
+# Breaks exact coplanarity, on which CoACD aborts; 1e-6 of a mug is 0.1 micrometre.
+_JITTER = 1e-6
+
+
+def decompose(mesh: trimesh.Trimesh, *, config: DecomposeConfig | None = None) -> CollisionMesh:
+    """Split a mesh into convex parts with CoACD.
+
+    CoACD runs in a child process, so that an abort, a hang or a lack of memory there is an error here. A lost attempt
+    is followed by one with vertices jittered by a millionth of the diagonal, then by coarser ones, the last remeshed.
+
+    Args:
+        mesh: Metres, any frame; best a watertight volume. Duplicate vertices and faces are removed, a mesh that is
+            inside out is turned.
+        config: Options of CoACD and limits; None for the defaults.
+
+    Returns:
+        Parts that MuJoCo compiles, their two-sided error, and in `notes`: attempts, lost (why each was), dropped
+        (slivers), volume_ratio (summed volume of the parts over the mesh's), union_volume_ratio (overlaps counted once;
+        both NaN for an open mesh), threshold and preprocess_mode of the attempt that succeeded, memory_limit (whether it
+        holds).
+
+    Raises:
+        InvalidMesh: Empty, not finite, badly indexed, flat, or too small for MuJoCo.
+        DecompositionFailed: Every attempt was lost; the message says how.
+    """
+    config = config or DecomposeConfig()
+    started = time.monotonic()
+    solid = _cleaned(check_mesh(mesh))
+    lost: list[str] = []
+    for attempt in range(config.attempts):
+        vertices, options = _variation(solid, config, attempt)
+        left = config.time_limit_s - (time.monotonic() - started)
+        if left <= 0:
+            break
+        limit = left if attempt == config.attempts - 1 else left * _SHARE_OF_TIME
+        try:
+            hulls, said = run_guarded(
+                vertices, solid.faces, options, time_limit_s=limit, memory_limit_mb=config.memory_limit_mb
+            )
+        except ChildLostError as error:
+            lost.append(str(error))
+            continue
+        parts, dropped = convex_parts(points for points, _ in hulls)
+        if not parts:
+            lost.append(f"all {dropped} parts were slivers")
+            continue
+        _warn_of(said, config)
+        notes = {
+            "attempts": attempt + 1,
+            "lost": tuple(lost),
+            "dropped": dropped,
+            **_volume_ratios(parts, solid),
+            "threshold": options["threshold"],
+            "preprocess_mode": options["preprocess_mode"],
+            "memory_limit": said["memory_limit"] and config.memory_limit_mb is not None,
+        }
+        error = union_error_m(parts, solid, rng=np.random.default_rng(config.seed))
+        return CollisionMesh(parts, error, "coacd", time.monotonic() - started, notes)
+    raise DecompositionFailed(
+        f"CoACD gave no parts in {len(lost)} of {config.attempts} attempts within {config.time_limit_s:g} s "
+        f"({'; '.join(lost) or 'no time for one'}): raise time_limit_s or memory_limit_mb, or repair or simplify the "
+        f"mesh ({len(solid.vertices)} vertices, watertight: {solid.is_watertight})"
+    )
+
+
+def decompose_fine(mesh: trimesh.Trimesh) -> tuple[ConvexPart, ...]:
+    """Convex parts fine enough for walls, rims and handles; for use offline, as it takes from 10 s to minutes.
+
+    Args:
+        mesh: Watertight, m.
+
+    Raises:
+        InvalidMesh: See decompose.
+        DecompositionFailed: See decompose.
+    """
+    return decompose(mesh, config=_FINE).parts
+
+
+def hull(mesh: trimesh.Trimesh) -> CollisionMesh:
+    """The convex hull of a mesh as its only part.
+
+    Raises:
+        InvalidMesh: Empty, not finite, badly indexed, flat, or too small for MuJoCo.
+    """
+    started = time.monotonic()
+    solid = _cleaned(check_mesh(mesh))
+    part = _whole_hull(solid)
+    error = union_error_m([part], solid, rng=np.random.default_rng(0))
+    ratio = float(volume_m3(part) / solid.volume) if solid.is_volume else float("nan")
+    notes = {"dropped": 0, "volume_ratio": ratio, "union_volume_ratio": ratio}
+    return CollisionMesh((part,), error, "hull", time.monotonic() - started, notes)
+
+
+def _whole_hull(mesh: trimesh.Trimesh) -> ConvexPart:
+    part = convex_part(np.asarray(mesh.vertices))
+    if part is None:
+        extents = " x ".join(f"{extent:.3g}" for extent in np.ptp(mesh.vertices, axis=0))
+        raise InvalidMesh(
+            f"mesh of {extents} m is flat or smaller than what MuJoCo can hold: "
+            "0.1 mm of thickness and 0.1 mm3 are needed; are the units metres?"
+        )
+    return part
+
+
+def _cleaned(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """A copy without duplicate vertices, without duplicate or degenerate faces, and outward where it is closed."""
+    clean = trimesh.Trimesh(np.array(mesh.vertices), np.array(mesh.faces), process=False)
+    clean.remove_unreferenced_vertices()  # nobody has checked those
+    clean.merge_vertices()
+    # By index, not by size: a small triangle of a closed mesh is needed to keep it closed.
+    corners = np.sort(clean.faces, axis=1)
+    clean.update_faces((corners[:, 0] != corners[:, 1]) & (corners[:, 1] != corners[:, 2]) & clean.unique_faces())
+    clean.remove_unreferenced_vertices()
+    _whole_hull(clean)
+    if clean.is_watertight and not clean.is_winding_consistent:
+        trimesh.repair.fix_winding(clean)
+    if clean.is_watertight and clean.volume < 0:
+        clean.invert()
+    return clean
+
+
+def _variation(solid: trimesh.Trimesh, config: DecomposeConfig, attempt: int) -> tuple[np.ndarray, dict]:
+    """Vertices and CoACD's options for an attempt: as asked, then jittered, then coarser, then also remeshed."""
+    vertices = np.array(solid.vertices)
+    mode = config.preprocess_mode
+    if mode == "auto":
+        mode = "off" if solid.is_volume else "on"
+    threshold = config.threshold
+    if attempt > 0:
+        diagonal = float(np.linalg.norm(np.ptp(vertices, axis=0)))
+        rng = np.random.default_rng([config.seed, attempt])
+        vertices += rng.uniform(-1, 1, vertices.shape) * _JITTER * diagonal * attempt
+    if attempt > 1:
+        threshold *= 1.5 ** (attempt - 1)
+        threshold = threshold if config.real_metric else min(threshold, 1.0)
+    if attempt > 2:
+        mode = "on"
+    return vertices, replace(config, threshold=threshold, preprocess_mode=mode).coacd_options()
+
+
+def _volume_ratios(parts: tuple[ConvexPart, ...], solid: trimesh.Trimesh) -> dict[str, float]:
+    if not solid.is_volume:
+        return {"volume_ratio": float("nan"), "union_volume_ratio": float("nan")}
+    union = union_volume_m3(parts, rng=np.random.default_rng(0))
+    return {
+        "volume_ratio": float(sum(map(volume_m3, parts)) / solid.volume),
+        "union_volume_ratio": float(union / solid.volume),
+    }
+
+
+def _warn_of(said: dict[str, object], config: DecomposeConfig) -> None:
+    if config.memory_limit_mb is not None and not said["memory_limit"]:
+        warnings.warn(
+            "this platform does not enforce memory_limit_mb: CoACD ran without it", RuntimeWarning, stacklevel=3
+        )
+    defaults = DecomposeConfig().coacd_options()
+    ignored = [name for name in said["unknown_options"] if config.coacd_options()[name] != defaults[name]]  # type: ignore[union-attr]
+    if ignored:
+        warnings.warn(f"the installed coacd has no {', '.join(ignored)}: ignored", RuntimeWarning, stacklevel=3)

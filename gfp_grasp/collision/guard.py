@@ -1,0 +1,197 @@
+"""The parent's side of the child process that runs CoACD: limits, no zombies, a warm child kept for the next job."""
+
+from __future__ import annotations
+
+import atexit
+import os
+import subprocess
+import sys
+import tempfile
+import threading
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import IO
+
+import numpy as np
+
+from gfp_grasp.collision import pipe
+
+# Starting costs 0.3 s; two idle children are what a threaded caller can use without hoarding memory.
+_MAX_IDLE = 2
+_START_LIMIT_S = 60.0
+_idle: list[_Child] = []
+_lock = threading.Lock()
+
+
+class ChildLostError(Exception):
+    """The child crashed, ran out of time or memory, or could not be started. Caught within collision/."""
+
+
+def run_guarded(
+    vertices: np.ndarray, faces: np.ndarray, options: dict, *, time_limit_s: float, memory_limit_mb: int | None
+) -> tuple[list[tuple[np.ndarray, np.ndarray]], dict[str, object]]:
+    """Run CoACD once in a child process.
+
+    Args:
+        vertices: (v, 3) float64.
+        faces: (f, 3) integer.
+        options: Keyword arguments of coacd.run_coacd.
+        time_limit_s: The child is killed after this many seconds.
+        memory_limit_mb: Address space of the child in MiB, or None.
+
+    Returns:
+        Vertices and faces of each hull, and what the child said: whether the memory limit holds, options unknown to it.
+
+    Raises:
+        ChildLostError: No answer came; the message says why. The child is gone, and reaped.
+    """
+    child = _take(memory_limit_mb)
+    try:
+        header, arrays = child.ask({**options}, [vertices.astype(np.float64), faces.astype(np.int32)], time_limit_s)
+    except BaseException:  # KeyboardInterrupt too: a child that is busy must not outlive its caller's interest
+        child.kill()
+        raise
+    _give_back(child)
+    hulls = [(points, triangles) for points, triangles in zip(arrays[::2], arrays[1::2], strict=True)]
+    return hulls, {"memory_limit": child.memory_limit_holds, "unknown_options": header["unknown"]}
+
+
+def close_workers() -> None:
+    """End the idle children; the next job starts a new one. Runs by itself when the interpreter ends."""
+    with _lock:
+        children = _idle.copy()
+        _idle.clear()
+    for child in children:
+        child.kill()
+
+
+@dataclass(eq=False)
+class _Child:
+    process: subprocess.Popen
+    memory_limit_mb: int | None
+    log: IO[bytes]
+    memory_limit_holds: bool = field(default=False)
+
+    @staticmethod
+    def start(memory_limit_mb: int | None) -> _Child:
+        limit = [] if memory_limit_mb is None else [str(memory_limit_mb)]
+        log = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the child
+        try:
+            process = subprocess.Popen(
+                # -P: a file in the caller's folder that is called like one of our imports must not be run.
+                [sys.executable, "-P", "-m", "gfp_grasp.collision.worker", *limit],
+                stdin=subprocess.PIPE,
+                stdout=subprocess.PIPE,
+                stderr=log,
+                env=_environment(),
+                # Ctrl-C in a terminal reaches the whole group: only the parent shall hear it, and then end the child.
+                start_new_session=True,
+            )
+        except (OSError, ValueError) as error:
+            log.close()
+            raise ChildLostError(f"{sys.executable!r} could not be started: {error}") from error
+        child = _Child(process, memory_limit_mb, log)
+        try:
+            header, _ = child._answer(_START_LIMIT_S)
+        except BaseException:
+            child.kill()
+            raise
+        child.memory_limit_holds = bool(header["memory_limit"])
+        return child
+
+    def ask(self, header: dict, arrays: list[np.ndarray], limit_s: float) -> tuple[dict, list[np.ndarray]]:
+        return self._answer(limit_s, (header, arrays))
+
+    def _answer(self, limit_s: float, message: tuple[dict, list[np.ndarray]] | None = None) -> tuple[dict, list]:
+        # Killing from a timer bounds writing and reading alike, on every platform: both end when the pipe breaks.
+        out_of_time = threading.Event()
+        timer = threading.Timer(limit_s, lambda: (out_of_time.set(), self.process.kill()))
+        timer.daemon = True
+        timer.start()
+        assert self.process.stdin is not None
+        assert self.process.stdout is not None
+        try:
+            if message is not None:
+                pipe.send(self.process.stdin, *message)
+            return pipe.receive(self.process.stdout)
+        except (EOFError, OSError) as error:
+            if out_of_time.is_set():
+                raise ChildLostError(f"no answer within {limit_s:.3g} s") from error
+            code = self.process.wait(10)
+            raise ChildLostError(f"the child ended with {_exit_name(code)}{self._last_words()}") from error
+        finally:
+            timer.cancel()
+
+    def kill(self) -> None:
+        self.process.kill()
+        self.process.wait()
+        self.forget()
+
+    def forget(self) -> None:
+        for stream in (self.process.stdin, self.process.stdout):
+            try:
+                if stream is not None:
+                    stream.close()
+            except OSError:
+                pass  # what was still to be written has nobody to read it
+        self.log.close()
+
+    def _last_words(self) -> str:
+        self.log.seek(0)
+        lines = self.log.read()[-400:].decode(errors="replace").split("\n")
+        said = " ".join(line.strip() for line in lines if line.strip())
+        return f": {said}" if said else ""
+
+
+def _environment() -> dict[str, str]:
+    home = str(Path(__file__).resolve().parents[2])
+    path = [home, *(entry for entry in sys.path if entry)]
+    # glibc reserves 64 MiB of address space for the heap of every thread, which a limit on address space would count.
+    one = dict.fromkeys(("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+    return {**os.environ, **one, "PYTHONPATH": os.pathsep.join(path), "MALLOC_ARENA_MAX": "2"}
+
+
+def _exit_name(code: int) -> str:
+    import signal
+
+    if code < 0:
+        try:
+            return signal.Signals(-code).name
+        except ValueError:
+            return f"signal {-code}"
+    return f"exit status {code}"
+
+
+def _take(memory_limit_mb: int | None) -> _Child:
+    with _lock:
+        for child in list(_idle):
+            if child.process.poll() is not None:
+                _idle.remove(child)
+                child.forget()
+            elif child.memory_limit_mb == memory_limit_mb:
+                _idle.remove(child)
+                return child
+    return _Child.start(memory_limit_mb)
+
+
+def _give_back(child: _Child) -> None:
+    with _lock:
+        if len(_idle) < _MAX_IDLE:
+            _idle.append(child)
+            return
+    child.kill()
+
+
+def _forget_after_fork() -> None:
+    # The children belong to the process that started them: two that talk over one pipe would read each other's answers.
+    global _lock
+    _lock = threading.Lock()
+    for child in _idle:
+        child.process.returncode = 0  # else subprocess warns that it still runs
+        child.forget()
+    _idle.clear()
+
+
+atexit.register(close_workers)
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_forget_after_fork)
