@@ -260,6 +260,7 @@ class FittedPrimitive:
         residual_m: Trimmed mean distance of the observed points to the fitted surface.
         hypothesis: "upright", "upside_down" or "lying": how the object rests on the support.
         margin: Cost of the second best hypothesis over the best, at least 1; inf where there was one only.
+        cost: Negative log posterior up to a constant, comparable between primitives fitted to the same evidence.
     """
 
     primitive: GenericPrimitive
@@ -269,6 +270,7 @@ class FittedPrimitive:
     residual_m: float
     hypothesis: str = "upright"
     margin: float = float("inf")
+    cost: float = 0.0
 
     def __post_init__(self) -> None:
         _freeze(self, "T_world_object", _matrix(self.T_world_object, (4, 4), "T_world_object", InvalidMesh))

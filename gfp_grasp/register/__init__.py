@@ -1,0 +1,8 @@
+"""Registration of a primitive onto one view: PCRNet's start, then scale and modes by robust least squares."""
+
+from gfp_grasp.register.evaluate import handle_is_seen
+from gfp_grasp.register.evidence import Evidence, gather_evidence
+from gfp_grasp.register.fit import FitConfig, fit_evidence, fit_primitive
+from gfp_grasp.register.modes import ModesConfig
+
+__all__ = ["Evidence", "FitConfig", "ModesConfig", "fit_evidence", "fit_primitive", "gather_evidence", "handle_is_seen"]

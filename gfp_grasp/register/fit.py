@@ -95,6 +95,7 @@ def fit_evidence(evidence: Evidence, primitive: GenericPrimitive, *, config: Fit
         residual_m=best.residual_m,
         hypothesis=best.hypothesis,
         margin=max(margin, 1.0),
+        cost=total_cost(best),
     )
 
 

@@ -1,0 +1,331 @@
+"""The library call: a partial cloud in, a watertight mesh and its convex parts out, in the same frame, in metres."""
+
+from __future__ import annotations
+
+import time
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import trimesh
+from numpy.typing import ArrayLike
+
+from gfp_grasp.deform import DeformConfig, deform
+from gfp_grasp.detect import clean_cloud, detect_objects, detect_single
+from gfp_grasp.errors import FitDiverged, InvalidOption, UnknownCategory
+from gfp_grasp.meshes import crossing_faces
+from gfp_grasp.observation import canonical_frame, mark_observed, order_points
+from gfp_grasp.primitives import list_primitives, load_primitive
+from gfp_grasp.register import FitConfig, fit_evidence, gather_evidence, handle_is_seen
+from gfp_grasp.types import (
+    CollisionMesh,
+    CompletedShape,
+    DepthImage,
+    Detection,
+    FittedPrimitive,
+    GenericPrimitive,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+# Below this the best class is an opinion, not a finding.
+_SURE_SCORE = 0.5
+
+
+@dataclass(frozen=True)
+class CompleteConfig:
+    """Switches of a completion.
+
+    Attributes:
+        fit: Registration of a primitive.
+        deform: Deformation of the fit.
+        rival_share: A class whose score is at least this share of the best class's is fitted too, and the better fit
+            decides.
+        handle_rule: "seen": a handle that no point supports is left out; "always": it is kept where the class has one.
+    """
+
+    fit: FitConfig = field(default_factory=FitConfig)
+    deform: DeformConfig = field(default_factory=DeformConfig)
+    rival_share: float = 0.05
+    handle_rule: str = "seen"
+
+    def __post_init__(self) -> None:
+        if not 0 < self.rival_share <= 1:
+            raise InvalidOption(f"rival_share is {self.rival_share}; a number in (0, 1] is expected")
+        if self.handle_rule not in ("seen", "always"):
+            raise InvalidOption(f"handle_rule is {self.handle_rule!r}; 'seen' or 'always' is expected")
+
+
+@dataclass(frozen=True, eq=False)
+class Completion:
+    """A completed object with what it was completed from.
+
+    Attributes:
+        shape: The completed surface, what of it was seen, and how sure the rest is.
+        detection: The observation.
+    """
+
+    shape: CompletedShape
+    detection: Detection
+
+    @property
+    def mesh(self) -> trimesh.Trimesh:
+        """Watertight mesh, m, in the input's frame."""
+        return self.shape.mesh
+
+    @property
+    def fit(self) -> FittedPrimitive | None:
+        """The registered primitive; None where none was used."""
+        return self.shape.fit
+
+    @property
+    def category(self) -> str:
+        """Class whose primitive was fitted, or the detection's."""
+        return self.shape.fit.primitive.category if self.shape.fit else self.detection.category
+
+    @property
+    def scores(self) -> Mapping[str, float]:
+        """Probability of each known class."""
+        return self.detection.scores
+
+    @property
+    def T_world_object(self) -> np.ndarray:
+        """(4, 4) pose of the primitive, or of the observed box where none was fitted."""
+        return self.shape.fit.T_world_object if self.shape.fit else self.detection.box.T_world_box
+
+    @property
+    def scale(self) -> np.ndarray:
+        """(3,) scale along the primitive's axes; ones where none was fitted."""
+        return self.shape.fit.scale if self.shape.fit else np.ones(3)
+
+    @property
+    def observed(self) -> np.ndarray:
+        """(v,) bool, seen from the viewpoint and within three sensor sigmas of a point."""
+        return self.shape.observed
+
+    @property
+    def sigma_m(self) -> np.ndarray:
+        """(v,) m, standard deviation of the surface's position."""
+        return self.shape.sigma_m
+
+    @property
+    def timings_s(self) -> Mapping[str, float]:
+        """Seconds by stage."""
+        return self.shape.timings_s
+
+    @cached_property
+    def collision(self) -> CollisionMesh:
+        """Convex parts with their figures, made at first access."""
+        from gfp_grasp.collision import collision_of
+
+        return collision_of(self.shape)
+
+    @property
+    def parts(self) -> tuple[trimesh.Trimesh, ...]:
+        """Convex parts, m, in the input's frame."""
+        return self._part_meshes
+
+    @cached_property
+    def _part_meshes(self) -> tuple[trimesh.Trimesh, ...]:
+        return tuple(part.to_trimesh() for part in self.collision.parts)
+
+    def export(self, path: str | Path) -> Path:
+        """Write the completion; the suffix chooses: .obj .ply .stl .glb (mesh), .xml (MJCF), .urdf.
+
+        Returns:
+            The path written.
+
+        Raises:
+            InvalidOption: Another suffix; the message lists these.
+        """
+        from gfp_grasp.export import export_completion
+
+        return export_completion(self.mesh, self.parts, Path(path), name=self.category or "object")
+
+
+def complete_to_mesh(
+    cloud: object,
+    *,
+    viewpoint: ArrayLike | None = None,
+    up: ArrayLike | None = (0.0, 0.0, 1.0),
+    support_height: float | None = None,
+    view: DepthImage | None = None,
+    mask: np.ndarray | None = None,
+    category: str | None = None,
+    config: CompleteConfig | None = None,
+    seed: int = 0,
+) -> Completion:
+    """Complete one object that was seen from one side.
+
+    Args:
+        cloud: (n, 3) array-like, m; also a trimesh or Open3D point cloud, or a torch tensor. Non-finite rows are
+            dropped and counted in a warning.
+        viewpoint: (3,) m, where the camera stood, same frame. Without it normals have no sign and nothing is known of
+            free space, and the answer is less sure.
+        up: (3,) normal of the support; None estimates it, from the plane under the object or else from the axes of
+            the camera, and `completion.detection.up` reports the choice.
+        support_height: Height of the support along up, m; None estimates it.
+        view: The whole depth picture, for the space that it saw to be free.
+        mask: (h, w) bool, the object's pixels in the view.
+        category: A class with a primitive; None lets the classifier and the fits choose.
+        config: Switches.
+        seed: Of every random choice; the same seed gives the same answer, whatever the order of the points.
+
+    Returns:
+        The completion, in the frame of the cloud, m.
+
+    Raises:
+        InvalidCloud: Not an (n, 3) cloud in metres, or degenerate.
+        TooFewPoints: Too few finite points.
+        InvalidView: View and mask do not fit each other.
+        UnknownCategory: No primitive of that class; the message lists those on offer.
+        FitDiverged: No primitive could be fitted.
+    """
+    _check_category(category)
+    start = time.perf_counter()
+    points = order_points(clean_cloud(cloud), seed=seed)
+    detection = detect_single(
+        points,
+        viewpoint=None if viewpoint is None else np.asarray(viewpoint, dtype=np.float64),
+        up=None if up is None else np.asarray(up, dtype=np.float64),
+        support_height=support_height,
+        view=view,
+        mask=mask,
+        category=category,
+    )
+    completion = complete_detection(detection, config=config, seed=seed)
+    timings = {"detect": time.perf_counter() - start - sum(completion.timings_s.values()), **completion.timings_s}
+    return replace(completion, shape=replace(completion.shape, timings_s=timings))
+
+
+def complete_scene(
+    image: DepthImage, *, up: ArrayLike | None = (0.0, 0.0, 1.0), config: CompleteConfig | None = None, seed: int = 0
+) -> tuple[Completion, ...]:
+    """Complete every object of a depth picture, largest first.
+
+    Args:
+        image: Depth, m, with intrinsics and pose.
+        up: (3,) normal of the support in the world frame; None estimates it.
+        config: Switches.
+        seed: Of every random choice.
+
+    Returns:
+        One completion an object; an object that no primitive fits is left out with a warning.
+
+    Raises:
+        NothingDetected: No object stands out from the support.
+    """
+    done = []
+    for detection in detect_objects(image, up=None if up is None else np.asarray(up, dtype=np.float64)):
+        try:
+            done.append(complete_detection(detection, config=config, seed=seed))
+        except FitDiverged as error:
+            warnings.warn(f"an object was left out: {error}", stacklevel=2)
+    return tuple(done)
+
+
+def complete_detection(detection: Detection, *, config: CompleteConfig | None = None, seed: int = 0) -> Completion:
+    """Complete a detected object: registration of the likely classes, choice, deformation.
+
+    Args:
+        detection: One object, world frame.
+        config: Switches.
+        seed: Of every random choice.
+
+    Raises:
+        TooFewPoints: Too few points.
+        FitDiverged: No primitive could be fitted.
+    """
+    config = config or CompleteConfig()
+    clock = _Clock()
+    if max(detection.scores.values(), default=1.0) < _SURE_SCORE:
+        scores = ", ".join(f"{name} {score:.2f}" for name, score in detection.scores.items())
+        warnings.warn(f"no known class is likely ({scores}); the best is completed all the same", stacklevel=2)
+    # Everything below runs in a frame tied to the object and the viewer, so that the answer moves with its input.
+    detection_here, T_world_here = canonical_frame(detection, seed=seed)
+    fit = _best_fit(detection_here, config)
+    clock.lap("register")
+    deformed = deform(fit, detection_here, config=config.deform)
+    clock.lap("deform")
+    observed, sigma = mark_observed(deformed.vertices, fit.primitive.faces, detection_here, deformed.sigma_m)
+    vertices = deformed.vertices @ T_world_here[:3, :3].T + T_world_here[:3, 3]
+    mesh = trimesh.Trimesh(vertices, fit.primitive.faces.copy(), process=False)
+    clock.lap("mark")
+    shape = CompletedShape(
+        mesh=mesh,
+        observed=observed,
+        sigma_m=sigma,
+        fit=replace(fit, T_world_object=T_world_here @ fit.T_world_object),
+        timings_s=clock.laps,
+    )
+    return Completion(shape, detection)
+
+
+def _best_fit(detection: Detection, config: CompleteConfig) -> FittedPrimitive:
+    evidence = gather_evidence(detection)
+    fits, failures = [], []
+    for name in _candidates(detection.scores, detection.category, config.rival_share):
+        try:
+            fit = fit_evidence(evidence, load_primitive(name), config=config.fit)
+        except FitDiverged as error:
+            failures.append(error)
+            continue
+        fits.append((fit.cost - np.log(max(detection.scores.get(name, 1.0), 1e-6)), name, fit))
+    if not fits:
+        raise failures[0]
+    fit = min(fits, key=lambda f: f[:2])[2]
+    if fit.primitive.twin is not None and config.handle_rule == "seen" and not handle_is_seen(fit, evidence):
+        fit = _without_handle(fit)
+    return _solid(fit)
+
+
+def _candidates(scores: Mapping[str, float], category: str, rival_share: float) -> Sequence[str]:
+    offered = {name: score for name, score in scores.items() if name in list_primitives()}
+    if not offered:
+        return [category]
+    best = max(offered.values())
+    return sorted((name for name, score in offered.items() if score >= rival_share * best), key=lambda n: -offered[n])
+
+
+def _without_handle(fit: FittedPrimitive) -> FittedPrimitive:
+    """The same body, from the primitive's twin: its vertices are a subset, so the modes carry over."""
+    twin = fit.primitive.twin
+    assert twin is not None
+    return replace(fit, primitive=twin)
+
+
+def _solid(fit: FittedPrimitive) -> FittedPrimitive:
+    """The fit with its modes drawn back towards the mean until its surface does not cross itself."""
+    primitive: GenericPrimitive = fit.primitive
+    coefficients = fit.coefficients
+    for _ in range(12):
+        if len(crossing_faces(primitive.shape(coefficients, fit.scale), primitive.faces)) == 0:
+            break
+        coefficients = 0.75 * coefficients
+    else:
+        coefficients = np.zeros_like(coefficients)
+    return replace(fit, coefficients=coefficients)
+
+
+def _check_category(category: str | None) -> None:
+    if category is not None and category not in list_primitives():
+        raise UnknownCategory(f"there is no primitive of {category!r}; there are {', '.join(list_primitives())}")
+
+
+class _Clock:
+    def __init__(self) -> None:
+        self.laps: dict[str, float] = {}
+        self._last = time.perf_counter()
+
+    def lap(self, name: str) -> None:
+        now = time.perf_counter()
+        self.laps[name] = now - self._last
+        self._last = now
+
+
+__all__ = ["CompleteConfig", "Completion", "complete_detection", "complete_scene", "complete_to_mesh"]

@@ -1,0 +1,80 @@
+"""From wished displacements to a mesh that is still a solid."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+
+import numpy as np
+from scipy import sparse
+from scipy.sparse.linalg import factorized
+
+from gfp_grasp.deform.gfs import laplacian
+from gfp_grasp.meshes import crossing_faces
+from gfp_grasp.types import GenericPrimitive
+
+_STIFFNESS = 0.3
+_HALVINGS = 5
+# A face whose normal turns by more than this has folded over.
+_FOLD_COSINE = 0.0
+
+
+def diffuse(primitive: GenericPrimitive, displacement: np.ndarray, confidence: np.ndarray) -> np.ndarray:
+    """Spread displacements (v, 3) m over the mesh, by their confidence (v,), to vertices that have none.
+
+    Minimises the confident misfit and the bending of the displacement: sum c |d - d0|^2 + s |L d|^2.
+    """
+    L = laplacian(primitive.faces, len(displacement))
+    weight = sparse.diags(np.maximum(confidence, 1e-3))
+    solve = factorized(sparse.csc_matrix(weight + _STIFFNESS * (L.T @ L)))
+    return np.column_stack([solve(np.maximum(confidence, 1e-3) * column) for column in displacement.T])
+
+
+def damp_until_solid(vertices: np.ndarray, faces: np.ndarray, displacement: np.ndarray) -> tuple[np.ndarray, float]:
+    """Move vertices as far as the surface neither folds nor crosses itself.
+
+    The displacement is halved around the faces that fold or cross, and everywhere when that does not help.
+
+    Args:
+        vertices: (v, 3) m, of a mesh that does not cross itself.
+        faces: (f, 3).
+        displacement: (v, 3) m.
+
+    Returns:
+        (v, 3) m moved vertices, and the smallest share of its displacement that a vertex kept.
+    """
+    share = np.ones(len(vertices))
+    neighbours = _adjacency(faces.tobytes(), len(faces), len(vertices))
+    for _ in range(_HALVINGS):
+        moved = vertices + share[:, None] * displacement
+        bad = _bad_faces(vertices, moved, faces)
+        if len(bad) == 0:
+            return moved, float(share.min())
+        near = np.zeros(len(vertices))
+        near[faces[bad].ravel()] = 1.0
+        for _ in range(3):  # a soft hole, or the damping itself would make a step
+            near = np.maximum(near, 0.7 * (neighbours @ near))
+        share *= 1.0 - 0.5 * np.minimum(near, 1.0)
+    for factor in (0.5, 0.25, 0.1, 0.0):
+        moved = vertices + factor * share[:, None] * displacement
+        if len(_bad_faces(vertices, moved, faces)) == 0:
+            return moved, float(factor * share.min())
+    return vertices.copy(), 0.0
+
+
+def _bad_faces(before: np.ndarray, after: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    old, new = _cross(before, faces), _cross(after, faces)
+    scale = np.linalg.norm(old, axis=1) * np.linalg.norm(new, axis=1) + 1e-30
+    folded = np.flatnonzero(np.einsum("fi,fi->f", old, new) / scale < _FOLD_COSINE)
+    return np.union1d(folded, crossing_faces(after, faces).ravel()).astype(np.int64)
+
+
+def _cross(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    corners = vertices[faces]
+    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+
+
+@lru_cache(maxsize=32)
+def _adjacency(face_bytes: bytes, num_faces: int, num_vertices: int) -> sparse.csr_matrix:
+    """Largest-of-neighbours is wanted, the mean will do: rows sum to one."""
+    faces = np.frombuffer(face_bytes, dtype=np.int64).reshape(num_faces, 3)
+    return sparse.csr_matrix(sparse.eye(num_vertices) - laplacian(faces, num_vertices))

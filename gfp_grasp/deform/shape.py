@@ -1,0 +1,149 @@
+"""Deform one fitted primitive by the method of choice."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from gfp_grasp.deform.gfs import SnakeConfig, evolve
+from gfp_grasp.deform.patches import UNIT_M, Patches, blend, make_patches
+from gfp_grasp.deform.settle import damp_until_solid, diffuse
+from gfp_grasp.deform.template import template_points
+from gfp_grasp.errors import InvalidOption
+from gfp_grasp.transforms import apply_T
+from gfp_grasp.types import Detection, FittedPrimitive
+
+METHODS = ("gfpnet", "gfpnet-paper", "gfpnet-oneshot", "gfs", "none")
+
+
+@dataclass(frozen=True)
+class DeformConfig:
+    """How a fit is deformed.
+
+    Attributes:
+        method: "gfpnet" (per-point decoder), "gfpnet-paper" (iterative), "gfpnet-oneshot", "gfs" (active contour) or
+            "none".
+        symmetry: Carry observed points to the hidden side.
+        iterations: Of gfpnet-paper; None is the paper's five.
+        snake: Energies of gfs.
+    """
+
+    method: Literal["gfpnet", "gfpnet-paper", "gfpnet-oneshot", "gfs", "none"] = "gfpnet"
+    symmetry: bool = True
+    iterations: int | None = None
+    snake: SnakeConfig = SnakeConfig()
+
+    def __post_init__(self) -> None:
+        if self.method not in METHODS:
+            raise InvalidOption(f"deformation method is {self.method!r}; one of {METHODS} is expected")
+        if self.iterations is not None and self.iterations < 1:
+            raise InvalidOption(f"iterations is {self.iterations}; at least 1 is expected")
+
+
+@dataclass(frozen=True, eq=False)
+class Deformed:
+    """A deformed primitive.
+
+    Attributes:
+        vertices: (v, 3) m, world; the primitive's connectivity, not folded, not crossing itself.
+        sigma_m: (v,) standard deviation of the surface's position, m; NaN where the method does not tell.
+        kept: Smallest share of its displacement that a vertex kept when the surface was held free of folds.
+    """
+
+    vertices: np.ndarray
+    sigma_m: np.ndarray
+    kept: float
+
+
+def deform(fit: FittedPrimitive, detection: Detection, *, config: DeformConfig = DeformConfig()) -> Deformed:
+    """Deform a fitted primitive onto the observation.
+
+    Args:
+        fit: Registered primitive whose own surface does not cross itself.
+        detection: The observation, world frame.
+        config: Method and its switches.
+
+    Returns:
+        The deformed vertices in the world frame.
+    """
+    primitive = fit.primitive
+    vertices = primitive.shape(fit.coefficients, fit.scale)
+    unknown = np.full(len(vertices), np.nan)
+    if config.method == "none":
+        return Deformed(fit.vertices_world(), unknown, 1.0)
+    template = template_points(fit, detection, symmetry=config.symmetry and config.method != "gfpnet-paper")
+    sigma = unknown
+    if config.method == "gfs":
+        displacement = evolve(vertices, primitive.faces, template.points, template.normals, config=config.snake) - vertices
+    else:
+        patches = make_patches(primitive, vertices, template)
+        if len(patches.index) == 0:
+            return Deformed(fit.vertices_world(), unknown, 1.0)
+        if config.method == "gfpnet":
+            offsets, log_sigma = _per_point(patches)
+            displacement, weight = blend(patches, offsets, len(vertices))
+            sigma = _blend_sigma(patches, log_sigma, len(vertices))
+        else:
+            offsets = _pulled(patches, _paper(patches, config))
+            displacement, weight = blend(patches, offsets, len(vertices))
+        displacement = diffuse(primitive, displacement, np.minimum(weight, 1.0))
+    moved, kept = damp_until_solid(vertices, primitive.faces, displacement)
+    return Deformed(apply_T(fit.T_world_object, moved), sigma, kept)
+
+
+def _per_point(patches: Patches) -> tuple[np.ndarray, np.ndarray]:
+    """Offsets (b, n, 3) in patch units and log sigma (b, n)."""
+    import torch
+
+    from gfp_grasp.deform.gfpnet import load_network
+
+    network = load_network("patch")
+    with torch.inference_mode():
+        offsets, log_sigma = network(*patch_tensors(patches))
+    return offsets.double().numpy(), log_sigma.double().numpy()
+
+
+def _paper(patches: Patches, config: DeformConfig) -> np.ndarray:
+    """The point sets MS (b, n, 3) that the paper's network predicts, patch units."""
+    import torch
+
+    from gfp_grasp.deform.gfpnet import load_network
+
+    network = load_network("paper-iterative" if config.method == "gfpnet-paper" else "paper-oneshot")
+    source, _, template, _, _ = patch_tensors(patches)
+    iterations = config.iterations if config.method == "gfpnet-paper" else None
+    with torch.inference_mode():
+        return network(source, template, iterations=iterations).double().numpy()
+
+
+def patch_tensors(patches: Patches):
+    """Float32 tensors (source, source_normals, template, template_normals, carried) of patches."""
+    import torch
+
+    arrays = (patches.source, patches.source_normals, patches.template, patches.template_normals, patches.carried)
+    return tuple(torch.tensor(a, dtype=torch.float32) for a in arrays)
+
+
+def _pulled(patches: Patches, predicted: np.ndarray, *, neighbours: int = 8) -> np.ndarray:
+    """Offsets (b, n, 3) that pull each S to the predicted set, smoothed over neighbours of S.
+
+    The rows of the set have no tie to the rows of S (see gfpnet.py), so each point takes its nearest, and the mean
+    over its neighbourhood keeps the surface from tearing.
+    """
+    offsets = np.empty_like(patches.source)
+    for i, (source, points) in enumerate(zip(patches.source, predicted, strict=True)):
+        nearest = points[cKDTree(points).query(source)[1]] - source
+        around = cKDTree(source).query(source, k=min(neighbours, len(source)))[1]
+        offsets[i] = nearest[around].mean(axis=1)
+    return offsets
+
+
+def _blend_sigma(patches: Patches, log_sigma: np.ndarray, num_vertices: int) -> np.ndarray:
+    """(v,) m; NaN where no patch reaches."""
+    flat = patches.index.ravel()
+    total = np.bincount(flat, patches.weights.ravel(), minlength=num_vertices)
+    mean = np.bincount(flat, (patches.weights * log_sigma).ravel(), minlength=num_vertices)
+    return np.where(total > 1e-6, np.exp(mean / np.maximum(total, 1e-9)) * UNIT_M, np.nan)

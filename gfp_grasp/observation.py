@@ -1,0 +1,113 @@
+"""The frame in which an observation is worked on, and which of a completed surface was observed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from gfp_grasp.camera import cast_rays
+from gfp_grasp.meshes import vertex_normals
+from gfp_grasp.transforms import apply_T, invert_T, make_T
+from gfp_grasp.types import DepthImage, Detection, OrientedBox, PointCloud, SupportPlane
+
+# More points than this say nothing new about an object of known class, and cost time.
+MAX_POINTS = 100_000
+_GRAZING_COSINE = 0.08
+_LIFT_M = 0.0005  # a ray starts this far off its own surface
+
+
+def order_points(points: np.ndarray, *, seed: int = 0) -> np.ndarray:
+    """Points (n, 3) in an order, and thinned to a number, that do not depend on the order they came in.
+
+    A point is kept by a hash of its own coordinates, so the choice is the same for every permutation.
+    """
+    if len(points) > MAX_POINTS:
+        bits = np.ascontiguousarray(points + 0.0).view(np.uint64)
+        # splitmix64's constants; the seed moves the stream.
+        state = np.uint64(seed % 2**63) * np.uint64(0x9E3779B97F4A7C15)
+        with np.errstate(over="ignore"):
+            mixed = state + bits[:, 0] * np.uint64(0xBF58476D1CE4E5B9)
+            mixed ^= mixed >> np.uint64(31)
+            mixed = (mixed + bits[:, 1]) * np.uint64(0x94D049BB133111EB)
+            mixed ^= mixed >> np.uint64(29)
+            mixed = (mixed + bits[:, 2]) * np.uint64(0xBF58476D1CE4E5B9)
+            mixed ^= mixed >> np.uint64(32)
+        points = points[mixed < np.uint64(int(MAX_POINTS / len(points) * 2**64))]
+    return points[np.lexsort((points[:, 2], points[:, 1], points[:, 0]))]
+
+
+def canonical_frame(detection: Detection, *, seed: int = 0) -> tuple[Detection, np.ndarray]:
+    """The same detection in a frame tied to it: z up, origin at the points' centre, x towards the viewer.
+
+    Returns:
+        The detection, and T_world_canonical (4, 4). Without a viewpoint x is the horizontal direction in which the
+        points are spread least.
+    """
+    points = order_points(detection.cloud.points, seed=seed)
+    up = detection.up / np.linalg.norm(detection.up)
+    origin = points.mean(axis=0)
+    x = _horizontal(detection, points - origin, up)
+    T = make_T(np.column_stack([x, np.cross(up, x), up]), origin)
+    back = invert_T(T)
+    viewpoint, view, support = detection.cloud.viewpoint, detection.view, detection.support
+    moved = replace(
+        detection,
+        cloud=PointCloud(apply_T(back, points), None if viewpoint is None else apply_T(back, viewpoint)),
+        up=np.array([0.0, 0.0, 1.0]),
+        support=None
+        if support is None
+        else SupportPlane(support.normal @ T[:3, :3], support.height_m - float(support.normal @ origin)),
+        box=OrientedBox(back @ detection.box.T_world_box, detection.box.extents),
+        view=None if view is None else DepthImage(view.depth_m, view.K, back @ view.T_world_camera),
+    )
+    return moved, T
+
+
+def mark_observed(
+    vertices: np.ndarray, faces: np.ndarray, detection: Detection, sigma_m: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Which vertices were observed, and a standard deviation for each.
+
+    Args:
+        vertices: (v, 3) m, completed surface.
+        faces: (f, 3).
+        detection: What it was completed from.
+        sigma_m: (v,) m from the deformation, NaN where it does not tell.
+
+    Returns:
+        Observed (v,) bool: in sight of the viewpoint (of nothing, where there is none) and within three sensor
+        sigmas of a point, or of the points' spacing where that is wider; and sigma (v,) m, which where nothing else
+        is known grows by a tenth of the distance to the nearest point.
+    """
+    points = detection.cloud.points
+    tree = cKDTree(points)
+    distance = tree.query(vertices)[0]
+    spacing = float(np.median(tree.query(points[:: max(1, len(points) // 500)], k=min(2, len(points)))[0][:, -1]))
+    observed = distance < max(3.0 * detection.sensor_sigma_m, 1.5 * spacing)
+    if detection.cloud.viewpoint is not None:
+        observed &= _in_sight(vertices, faces, detection.cloud.viewpoint)
+    rough = np.hypot(detection.sensor_sigma_m, 0.1 * distance)
+    return observed, np.where(np.isfinite(sigma_m), sigma_m, rough)
+
+
+def _in_sight(vertices: np.ndarray, faces: np.ndarray, viewpoint: np.ndarray) -> np.ndarray:
+    normals = vertex_normals(vertices, faces)
+    sight = viewpoint - vertices
+    sight /= np.linalg.norm(sight, axis=1, keepdims=True)
+    facing = np.einsum("vi,vi->v", normals, sight) > _GRAZING_COSINE
+    hit, _, _ = cast_rays([vertices[faces]], vertices + _LIFT_M * normals + _LIFT_M * sight, sight)
+    return facing & ~np.isfinite(hit)
+
+
+def _horizontal(detection: Detection, centred: np.ndarray, up: np.ndarray) -> np.ndarray:
+    flat = np.eye(3) - np.outer(up, up)
+    if detection.cloud.viewpoint is not None:
+        x = flat @ (detection.cloud.viewpoint - detection.cloud.points.mean(axis=0))
+        if np.linalg.norm(x) > 1e-3:
+            return x / np.linalg.norm(x)
+    values, vectors = np.linalg.eigh((centred @ flat).T @ (centred @ flat) + 1e3 * np.outer(up, up) * len(centred))
+    del values
+    x = vectors[:, 0]
+    return x / np.linalg.norm(x)
