@@ -1,0 +1,182 @@
+"""Objects above a support plane, as connected pieces of surface: in a depth picture, or in bare points."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from scipy.spatial import cKDTree
+from sklearn.cluster import DBSCAN
+
+from gfp_grasp.detect.concavity import concavity
+from gfp_grasp.detect.merging import MergeConfig, merge_pieces
+from gfp_grasp.errors import InvalidOption
+from gfp_grasp.types import SupportPlane
+
+
+@dataclass(frozen=True)
+class ClusterConfig:
+    """How what stands on the table is told apart.
+
+    Attributes:
+        floor_m: Height above the support from which a point belongs to an object, m.
+        jump_m: Depth step between neighbouring pixels that parts surfaces, m at the camera, growing by
+        jump_per_m: m per metre of depth.
+        max_concavity: Dip of the surface under a chord, over the chord's length, that parts two bodies; a right
+            angle has 0.5, the inside of a cup 0.1 (see concavity.py).
+        gap_m: Bare points farther apart than this are two clusters, m.
+        min_area_m2: Surface of the smallest object that counts.
+        max_object_m: Wider clusters are walls or furniture, not objects.
+        merge: Which pieces belong together again.
+    """
+
+    floor_m: float = 0.006
+    jump_m: float = 0.004
+    jump_per_m: float = 0.01
+    max_concavity: float = 0.2
+    gap_m: float = 0.012
+    min_area_m2: float = 8e-4
+    max_object_m: float = 0.6
+    merge: MergeConfig = MergeConfig()
+
+    def __post_init__(self) -> None:
+        for name in ("floor_m", "jump_m", "max_concavity", "gap_m", "min_area_m2", "max_object_m"):
+            if getattr(self, name) <= 0:
+                raise InvalidOption(f"{name} is {getattr(self, name)}; a positive number is expected")
+
+
+_MIN_PIECE_PX = 25  # fewer pixels or voxels are flying ones
+_CREASE_PX = 4  # a crease's ends stop short of the silhouette, where chords break
+_VOXEL_M = 0.003  # grid on which bare points are clustered: below a handle's thickness
+_NEIGHBOURS = 4  # on that grid, that an inner point of a surface has
+
+
+def label_picture(
+    points: np.ndarray,
+    support: SupportPlane,
+    eye: np.ndarray,
+    focal_px: float,
+    *,
+    config: ClusterConfig = ClusterConfig(),
+) -> np.ndarray:
+    """Objects of an organised picture.
+
+    Surfaces part at depth steps and at sharp concave creases; pieces of one object are then joined by merge_pieces.
+
+    Args:
+        points: (h, w, 3) m, NaN where nothing came back.
+        support: What they stand on, same frame.
+        eye: (3,) m, the camera.
+        focal_px: Focal length.
+        config: Thresholds.
+
+    Returns:
+        (h, w) int32 labels: 0 for background, 1 for the object with most pixels, and so on.
+    """
+    valid = np.isfinite(points).all(axis=2)
+    points = np.where(valid[:, :, None], points, 0.0)
+    above = valid & (support.distances(points.reshape(-1, 3)).reshape(valid.shape) > config.floor_m)
+    labels = np.zeros(valid.shape, dtype=np.int32)
+    if above.sum() < _MIN_PIECE_PX:
+        return labels
+    rows, columns = (slice(a.min(), a.max() + 1) for a in np.nonzero(above))
+    points, above = points[rows, columns], above[rows, columns]
+    depth = np.linalg.norm(points - eye, axis=2)
+    crease = concavity(points, above, depth, eye, focal_px, jump=_jump(depth, config)) > config.max_concavity
+    crease = ndimage.binary_dilation(crease, iterations=_CREASE_PX)
+    pieces = _connected_pixels(above & ~crease, depth, config)
+    pieces = _give_back(pieces, above, points)
+    labels[rows, columns] = _objects(pieces, points, support, (depth / focal_px) ** 2, config)
+    return labels
+
+
+def label_points(points: np.ndarray, support: SupportPlane, *, config: ClusterConfig = ClusterConfig()) -> np.ndarray:
+    """Objects of bare points: DBSCAN on a grid, then merge_pieces.
+
+    Args:
+        points: (n, 3) m.
+        support: What they stand on.
+        config: Thresholds.
+
+    Returns:
+        (n,) int32 labels: 0 for the support and for flying points, 1 for the object with most surface, and so on.
+    """
+    labels = np.zeros(len(points), dtype=np.int32)
+    above = np.flatnonzero(support.distances(points) > config.floor_m)
+    if len(above) < _MIN_PIECE_PX:
+        return labels
+    centres, cell_of = voxel_grid(points[above], _VOXEL_M)
+    pieces = cluster_points(centres, config.gap_m)
+    objects = _objects(pieces, centres, support, np.full(len(centres), _VOXEL_M**2), config)
+    labels[above] = objects[cell_of]
+    return labels
+
+
+def cluster_points(points: np.ndarray, gap_m: float) -> np.ndarray:
+    """(n,) int32 clusters of (n, 3) points by DBSCAN, 0 for outliers; the gap grows where the points are sparse."""
+    spacing = float(np.median(cKDTree(points).query(points[:: -(-len(points) // 2000)], k=2)[0][:, 1]))
+    found = DBSCAN(eps=max(gap_m, 3.0 * spacing), min_samples=_NEIGHBOURS).fit(points).labels_
+    return (found + 1).astype(np.int32)
+
+
+def voxel_grid(points: np.ndarray, voxel_m: float) -> tuple[np.ndarray, np.ndarray]:
+    """Mean point of each occupied cell (c, 3), and the cell of each point (n,)."""
+    cells = np.floor((points - points.min(axis=0)) / voxel_m).astype(np.int64)
+    extent = cells.max(axis=0) + 1
+    keys = (cells[:, 0] * extent[1] + cells[:, 1]) * extent[2] + cells[:, 2]
+    _, cell_of, counts = np.unique(keys, return_inverse=True, return_counts=True)
+    sums = np.column_stack([np.bincount(cell_of, points[:, k]) for k in range(3)])
+    return sums / counts[:, None], cell_of
+
+
+def _jump(depth: np.ndarray, config: ClusterConfig) -> np.ndarray:
+    return config.jump_m + config.jump_per_m * depth
+
+
+def _connected_pixels(chosen: np.ndarray, depth: np.ndarray, config: ClusterConfig) -> np.ndarray:
+    """(h, w) int32 pieces of the chosen pixels, neighbours joined where there is no depth step; 0 elsewhere."""
+    index = np.arange(chosen.size).reshape(chosen.shape)
+    jump = _jump(depth, config)
+    pairs = []
+    for a, b in (((slice(None), slice(None, -1)), (slice(None), slice(1, None))),
+                 ((slice(None, -1), slice(None)), (slice(1, None), slice(None)))):  # fmt: skip
+        joined = chosen[a] & chosen[b] & (np.abs(depth[a] - depth[b]) < jump[a])
+        pairs.append((index[a][joined], index[b][joined]))
+    rows, columns = (np.concatenate(side) for side in zip(*pairs, strict=True))
+    graph = coo_matrix((np.ones(len(rows), dtype=bool), (rows, columns)), shape=(chosen.size, chosen.size))
+    found = connected_components(graph, directed=False)[1].reshape(chosen.shape)
+    big = np.bincount(found[chosen], minlength=found.max() + 1) >= _MIN_PIECE_PX
+    number = np.where(big, np.cumsum(big), 0)
+    return np.where(chosen, number[found], 0).astype(np.int32)
+
+
+def _give_back(pieces: np.ndarray, above: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Pixels of creases and specks join the nearest piece in the picture, where that is near in space too."""
+    if not pieces.any():
+        return pieces
+    nearest = ndimage.distance_transform_edt(pieces == 0, return_distances=False, return_indices=True)
+    there = points[nearest[0], nearest[1]]
+    near = np.linalg.norm(points - there, axis=2) < 0.015
+    return np.where(above & near, pieces[nearest[0], nearest[1]], pieces)
+
+
+def _objects(
+    pieces: np.ndarray, points: np.ndarray, support: SupportPlane, area_m2: np.ndarray, config: ClusterConfig
+) -> np.ndarray:
+    """Pieces merged into objects, too small and too wide ones dropped, renumbered by size; shape of `pieces`."""
+    group = merge_pieces(pieces, points, support, area_m2, config=config.merge)
+    merged = group[pieces]
+    chosen = merged > 0
+    area = np.bincount(merged[chosen], area_m2[chosen], minlength=group.max() + 1)
+    keep = area >= config.min_area_m2
+    for k in np.flatnonzero(keep):
+        low, high = np.percentile(points[merged == k], (2, 98), axis=0)
+        keep[k] = float((high - low).max()) <= config.max_object_m
+    order = np.argsort(-np.bincount(merged[chosen], minlength=group.max() + 1), kind="stable")
+    number = np.zeros(len(keep), dtype=np.int32)
+    kept = [k for k in order if keep[k]]
+    number[kept] = np.arange(1, len(kept) + 1)
+    return number[merged]
