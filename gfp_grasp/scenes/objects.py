@@ -1,0 +1,80 @@
+"""A true object from a mesh: solid, resting on z = 0, in convex parts, with a mass and a friction."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import trimesh
+
+from gfp_grasp.meshes import check_mesh, make_solid
+from gfp_grasp.scenes.cache import decompose_cached
+from gfp_grasp.types import CollisionMesh, TrueObject
+
+Decompose = Callable[[trimesh.Trimesh], CollisionMesh]
+
+# A mesh that fills less of its hull than this is an open vessel, whose walls weigh; more is a bottle with contents.
+_VESSEL_FILL = 0.5
+_WALL_DENSITY = (900.0, 2400.0)  # kg/m3, plastic to stoneware
+_FILLED_DENSITY = (150.0, 1050.0)  # kg/m3, an almost empty to a full bottle, over its outer volume
+_MASS_KG = (0.02, 1.0)
+_FRICTION = (0.4, 1.0)  # rubber on wet plastic to rubber on dry stoneware
+
+
+def true_object(
+    mesh_or_shape: object, name: str, category: str, rng: np.random.Generator, decompose: Decompose | None = None
+) -> TrueObject:
+    """What the simulator holds for a mesh.
+
+    Args:
+        mesh_or_shape: A trimesh.Trimesh, or anything with one as `.mesh`; m, z up; open meshes are closed.
+        name: Of the data set and the mesh, never a path.
+        category: Class, or "" where it is unknown.
+        rng: Draws mass (from the volume at a density that suits a vessel or a filled bottle) and friction.
+        decompose: Gives the convex parts; None is collision.decompose, its results kept on disk by mesh.
+
+    Returns:
+        The object in its own frame: base at z = 0, the middle of its bounding box at x = y = 0 unless its own axis,
+        x = y = 0, already passes through it.
+
+    Raises:
+        InvalidMesh: No solid can be made of the mesh.
+        DecompositionFailed: CoACD gave nothing.
+    """
+    mesh = rested(solid_mesh(mesh_or_shape))
+    fill = mesh.volume / mesh.convex_hull.volume
+    density = rng.uniform(*(_WALL_DENSITY if fill < _VESSEL_FILL else _FILLED_DENSITY))
+    mass_kg = float(np.clip(mesh.volume * density, *_MASS_KG))
+    friction = float(rng.uniform(*_FRICTION))
+    collision = _decompose_cached(mesh) if decompose is None else decompose(mesh)
+    return TrueObject(name, category, mesh, collision, mass_kg, friction)
+
+
+def solid_mesh(mesh_or_shape: object) -> trimesh.Trimesh:
+    """A watertight mesh; the very same one where it already is a volume.
+
+    Raises:
+        InvalidMesh: It cannot be closed, or is none.
+    """
+    mesh = check_mesh(getattr(mesh_or_shape, "mesh", mesh_or_shape))  # pyright: ignore[reportArgumentType]
+    return mesh if mesh.is_volume else make_solid(mesh)[0]
+
+
+def rested(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """The mesh on z = 0; moved sideways only if its own axis does not pass through it."""
+    low, high = np.asarray(mesh.bounds)
+    off_axis = (low[:2] > 0).any() or (high[:2] < 0).any()
+    middle = (low + high)[:2] / 2 if off_axis else np.zeros(2)
+    shift = -np.array([*middle, low[2]])
+    if not np.abs(shift).max() > 1e-9:
+        return mesh
+    moved = mesh.copy()
+    moved.apply_translation(shift)
+    return moved
+
+
+def _decompose_cached(mesh: trimesh.Trimesh) -> CollisionMesh:
+    from gfp_grasp.collision import DecomposeConfig, decompose
+
+    config = DecomposeConfig()
+    return decompose_cached(mesh, lambda solid: decompose(solid, config=config), maker=f"coacd {config}")

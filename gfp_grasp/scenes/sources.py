@@ -1,0 +1,117 @@
+"""Where objects come from: a procedural family, one mesh file, or a folder of them."""
+
+from __future__ import annotations
+
+import zlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from gfp_grasp.errors import InvalidOption, UnreadableFile
+from gfp_grasp.meshes import load_mesh
+from gfp_grasp.scenes.objects import Decompose, rested, solid_mesh, true_object
+from gfp_grasp.types import TrueObject
+
+SUFFIXES = (".glb", ".obj", ".off", ".ply", ".stl")
+SPLITS = ("train", "val", "test")
+
+
+@dataclass(frozen=True)
+class ObjectSource:
+    """An object that can be loaded; light, and pickles into workers.
+
+    Attributes:
+        name: Of the data set and the mesh, never a path.
+        category: Class, or "" where it is unknown.
+        family: Procedural family, or "" for a file.
+        seed: Of the procedural shape.
+        path: Mesh file, or None for a procedural shape.
+    """
+
+    name: str
+    category: str
+    family: str = ""
+    seed: int = 0
+    path: Path | None = None
+
+    def load_mesh(self) -> trimesh.Trimesh:
+        """The watertight mesh (m, z up, resting on z = 0), without convex parts: enough for looking at it."""
+        if self.path is not None:
+            return rested(solid_mesh(load_mesh(self.path)))
+        from gfp_grasp.shapes import make_shape
+
+        return rested(solid_mesh(make_shape(self.family, self.seed)))
+
+    def load(self, rng: np.random.Generator | None = None, *, decompose: Decompose | None = None) -> TrueObject:
+        """The object with parts, mass and friction.
+
+        Args:
+            rng: Draws mass and friction; None draws them from the name, the same every time.
+            decompose: As true_object takes it.
+        """
+        rng = np.random.default_rng(zlib.crc32(self.name.encode())) if rng is None else rng
+        return true_object(self.load_mesh(), self.name, self.category, rng, decompose)
+
+
+def load_objects(
+    family_or_folder: str | Path, split: str = "test", limit: int | None = None
+) -> tuple[ObjectSource, ...]:
+    """Objects of procedural families or of mesh files, not loaded yet.
+
+    Args:
+        family_or_folder: Families ("cup", or several as "cup,mug"), a mesh file, or a folder of mesh files named
+            `<class>__<name>.<suffix>`, or just `<name>.<suffix>` where the class is unknown.
+        split: Which seeds of a family: train, val or test. Files have none.
+        limit: At most so many: families take turns, files come in the order of their names.
+
+    Raises:
+        InvalidOption: No family, file or folder of that name, an unknown split, or a limit below one.
+        UnreadableFile: The folder holds no mesh.
+    """
+    from gfp_grasp.shapes import FAMILIES, split_seeds
+
+    if split not in SPLITS:
+        raise InvalidOption(f"split is {split!r}; legal are {', '.join(SPLITS)}")
+    if limit is not None and limit < 1:
+        raise InvalidOption(f"limit is {limit}; at least 1, or None, is expected")
+    families = [family.strip() for family in str(family_or_folder).split(",")]
+    if all(family in FAMILIES for family in families):
+        return _in_turns([_shape_sources(family, split_seeds(family, split)) for family in families])[:limit]
+    path = Path(family_or_folder)
+    if path.is_file():
+        return (_file_source(path),)
+    if path.is_dir():
+        return _folder_sources(path)[:limit]
+    raise InvalidOption(
+        f"objects {str(family_or_folder)!r} is no family ({', '.join(FAMILIES)}), no mesh file and no folder"
+    )
+
+
+def _shape_sources(family: str, seeds: Sequence[int]) -> list[ObjectSource]:
+    return [ObjectSource(f"{family}-{seed}", family, family=family, seed=int(seed)) for seed in seeds]
+
+
+def _in_turns(lists: list[list[ObjectSource]]) -> tuple[ObjectSource, ...]:
+    longest = max(len(sources) for sources in lists)
+    return tuple(sources[i] for i in range(longest) for sources in lists if i < len(sources))
+
+
+def _folder_sources(folder: Path) -> tuple[ObjectSource, ...]:
+    files = sorted(file for file in folder.iterdir() if file.is_file() and file.suffix.lower() in SUFFIXES)
+    if not files:
+        raise UnreadableFile(f"{folder} holds no mesh: files with a suffix of {', '.join(SUFFIXES)} are looked for")
+    sources = tuple(_file_source(file) for file in files)
+    if len({source.name for source in sources}) < len(sources):  # a.ply beside a.obj
+        return tuple(_file_source(file, whole_name=True) for file in files)
+    return sources
+
+
+def _file_source(path: Path, *, whole_name: bool = False) -> ObjectSource:
+    category, mark, name = path.stem.partition("__")
+    name = name if mark else path.stem
+    if whole_name:
+        name = path.name
+    return ObjectSource(name, category if mark else "", path=path)
