@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import trimesh
@@ -49,6 +49,7 @@ def make_bottle(rng: np.random.Generator) -> tuple[trimesh.Trimesh, str, float]:
         return _cap_down(rng, plan, body), kind, 0.0
     if kind in ("flip_top", "jar"):
         return loft(np.concatenate([_foot(rng, body), body, caps.wide(rng, body[-1], jar=kind == "jar")])), kind, 0.0
+    plan = replace(plan, neck_half=min(plan.neck_half, 0.92 * float(body[-1, :2].min())))
     rising = np.concatenate([body, _shoulder(rng, plan, body[-1])])
     if kind == "open":
         mesh, wall = _open(rng, plan, rising)
@@ -74,6 +75,9 @@ def _plan(rng: np.random.Generator, kind: str) -> _Plan:
     shoulder = rng.choice(
         [rng.uniform(0.03, 0.12), rng.uniform(0.1, 0.3), rng.uniform(0.25, 0.45)], p=[0.35, 0.4, 0.25]
     )
+    if kind in ("pump", "spray"):
+        # Dispensers come in a few thread sizes only.
+        neck_half = float(np.clip(neck_half, 0.009, min(0.016, 0.9 * thin)))
     low = 0.92 if kind in ("flip_top", "jar", "cap_down") else 1 - shoulder - 0.08
     return _Plan(tall * low, half, tall * (low + shoulder), neck_half, aspect, power)
 

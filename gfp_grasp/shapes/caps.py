@@ -118,12 +118,14 @@ def spray(rng: np.random.Generator, neck: float, base: float) -> Top:
     )
     half, wide_half = rng.uniform(0.008, 0.014), rng.uniform(0.008, 0.013)
     z = base + head_z + 0.3 * half
-    back, front = -rng.uniform(0.015, 0.03), rng.uniform(0.03, 0.048)
+    back, front = -rng.uniform(0.015, 0.03), out + rng.uniform(0.018, 0.034)
     path = np.array([[back, z - 0.35 * half], [0.4 * back, z], [0.35 * front, z], [0.7 * front, z + 0.001], [front, z]])
     size = np.interp(np.linspace(0, 1, 16), [0, 0.2, 0.6, 0.85, 1], [0.7, 1.0, 0.95, 0.65, 0.6])
     head = _tube(path, wide_half * size, half * size, count=16, power=3.5)
-    start = 0.45 * front
-    drop, kick = rng.uniform(0.03, 0.045), rng.uniform(0.004, 0.014)
+    # Clear of the collar, or the trigger would close a loop with it.
+    kick = rng.uniform(0.004, 0.014)
+    start = max(0.45 * front, out + 0.009 - kick)
+    drop = min(rng.uniform(0.03, 0.045), head_z - 0.003)
     trigger = rounded([[start, z], [start + 0.004, z - 0.4 * drop], [start + kick, z - drop]], [0, 0.02, 0], steps=10)
     return top, [head, _tube(trigger, 0.006, 0.0028, power=3.0)]
 

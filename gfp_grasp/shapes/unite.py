@@ -11,19 +11,32 @@ import trimesh
 # Convex decomposition aborts on some unions with exactly coplanar faces; this much jitter cures it, and a union is not
 # known to a micrometre anyway.
 _JITTER_M = 1e-6
+# Edges that a union leaves shorter than this are collapsed.
+_SLIVER_M = 1e-5
 
 
 def unite(meshes: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
-    """Union of closed meshes, jittered by a micrometre."""
+    """Union of closed meshes, jittered by at most a micrometre."""
     whole = manifold3d.Manifold.batch_boolean([_solid(mesh) for mesh in meshes], manifold3d.OpType.Add)
-    mesh = _mesh(whole.simplify(1e-5))
-    jitter = np.random.default_rng(len(mesh.vertices)).uniform(-_JITTER_M, _JITTER_M, mesh.vertices.shape)
-    return trimesh.Trimesh(mesh.vertices + jitter, mesh.faces, process=False)
+    mesh = _mesh(whole.simplify(_SLIVER_M))
+    room = np.minimum(_JITTER_M, 0.05 * _smallest_altitudes(mesh.vertices, mesh.faces))
+    turn = np.random.default_rng(len(mesh.vertices)).uniform(-1, 1, mesh.vertices.shape)
+    return trimesh.Trimesh(mesh.vertices + room[:, None] * turn, mesh.faces, process=False)
 
 
 def subtract(mesh: trimesh.Trimesh, other: trimesh.Trimesh) -> trimesh.Trimesh:
     """What of a closed mesh is outside of another."""
     return _mesh(_solid(mesh) - _solid(other))
+
+
+def _smallest_altitudes(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Smallest altitude (v,) m of the faces around each vertex: moved by less, no sliver turns over."""
+    corners = vertices[faces]
+    edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
+    doubled = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    smallest = np.full(len(vertices), np.inf)
+    np.minimum.at(smallest, faces.ravel(), np.repeat(doubled / edges.max(axis=1), 3))
+    return smallest
 
 
 def _solid(mesh: trimesh.Trimesh) -> manifold3d.Manifold:
