@@ -20,6 +20,7 @@ from torch import Tensor, nn
 
 from gfp_grasp.assets import data_file
 from gfp_grasp.errors import InvalidOption
+from gfp_grasp.register.pcrnet import mlp
 
 NEAREST = 4  # template points whose offsets enter with each source point
 
@@ -31,10 +32,10 @@ class PatchNet(nn.Module):
 
     def __init__(self, width: int = 128) -> None:
         super().__init__()
-        self.source = _mlp(6 + NEAREST * 7, width, width)
-        self.template = _mlp(7, width // 2, width, 2 * width)
-        self.context = _mlp(4 * width, 2 * width, width)
-        self.decode = nn.Sequential(_mlp(2 * width, width, width), nn.Linear(width, 4))
+        self.source = mlp(6 + NEAREST * 7, width, width)
+        self.template = mlp(7, width // 2, width, 2 * width)
+        self.context = mlp(4 * width, 2 * width, width)
+        self.decode = nn.Sequential(mlp(2 * width, width, width), nn.Linear(width, 4))
         last = self.decode[-1]
         nn.init.zeros_(last.weight)
         with torch.no_grad():
@@ -75,8 +76,8 @@ class PaperNet(nn.Module):
         super().__init__()
         widths = (64, 128, 1024) if iterative else (64, 128, 512, 1024)
         self.iterations = 5 if iterative else 1
-        self.source = _mlp(3, *widths)
-        self.template = _mlp(3, *widths)
+        self.source = mlp(3, *widths)
+        self.template = mlp(3, *widths)
         self.decode = nn.Sequential(
             nn.Linear(2048, 1024),
             nn.ReLU(),
@@ -138,10 +139,3 @@ def _agreeing_nearest(source: Tensor, source_normals: Tensor, template: Tensor, 
     t = torch.cat([template, template_normals], dim=-1)
     distance = (s * s).sum(-1)[:, :, None] - 2 * s @ t.transpose(1, 2) + (t * t).sum(-1)[:, None]
     return distance.topk(NEAREST, dim=-1, largest=False, sorted=True).indices
-
-
-def _mlp(*widths: int) -> nn.Sequential:
-    layers: list[nn.Module] = []
-    for a, b in zip(widths[:-1], widths[1:], strict=True):
-        layers += [nn.Linear(a, b), nn.ReLU()]
-    return nn.Sequential(*layers)

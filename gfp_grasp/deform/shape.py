@@ -77,7 +77,9 @@ def deform(fit: FittedPrimitive, detection: Detection, *, config: DeformConfig =
     template = template_points(fit, detection, symmetry=config.symmetry and config.method != "gfpnet-paper")
     sigma = unknown
     if config.method == "gfs":
-        displacement = evolve(vertices, primitive.faces, template.points, template.normals, config=config.snake) - vertices
+        displacement = (
+            evolve(vertices, primitive.faces, template.points, template.normals, config=config.snake) - vertices
+        )
     else:
         patches = make_patches(primitive, vertices, template)
         if len(patches.index) == 0:

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 
 from gfp_grasp.errors import TooFewPoints
 from gfp_grasp.transforms import apply_T, invert_T, look_at
-from gfp_grasp.types import Detection, DepthImage
+from gfp_grasp.types import DepthImage, Detection
 
 MIN_POINTS = 20
 

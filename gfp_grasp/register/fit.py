@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
@@ -27,6 +27,7 @@ class FitConfig:
         quick: Refinement of every start.
         thorough: Refinement of the best few.
         keep: Starts that are refined thoroughly.
+        mean_size: Every start has the mean size, not the size of the points.
         max_residual_m: A fit whose trimmed residual is larger has diverged.
     """
 
@@ -35,6 +36,7 @@ class FitConfig:
     quick: ModesConfig = field(default_factory=lambda: ModesConfig(steps=(0.02, 0.015, 0.01, 0.008, 0.006)))
     thorough: ModesConfig = field(default_factory=ModesConfig)
     keep: int = 3
+    mean_size: bool = False
     max_residual_m: float = 0.05
 
     def __post_init__(self) -> None:
@@ -69,9 +71,13 @@ def fit_primitive(
     return fit_evidence(evidence, primitive, config=config)
 
 
-def fit_evidence(evidence: Evidence, primitive: GenericPrimitive, *, config: FitConfig = FitConfig()) -> FittedPrimitive:
+def fit_evidence(
+    evidence: Evidence, primitive: GenericPrimitive, *, config: FitConfig = FitConfig()
+) -> FittedPrimitive:
     """As `fit_primitive`, from evidence gathered before (one gathering serves several primitives)."""
     states = starts(primitive, evidence, config.hypotheses)
+    if config.mean_size:
+        states = [replace(state, log_scale=np.zeros(3)) for state in states]
     if config.start == "pcrnet":
         from gfp_grasp.register.pcrnet import correct_starts  # torch is loaded where it is needed only
 
@@ -83,7 +89,7 @@ def fit_evidence(evidence: Evidence, primitive: GenericPrimitive, *, config: Fit
     if not np.isfinite(best.cost) or best.residual_m > config.max_residual_m:
         raise FitDiverged(
             f"{primitive.category}: the best start misses the points by {best.residual_m * 1000:.1f} mm, "
-            f"{config.max_residual_m * 1000:.0f} mm is allowed: is the cloud in metres, of one object, with the right up?"
+            f"{config.max_residual_m * 1000:.0f} mm is allowed: is it one object, in metres, with the right up?"
         )
     others = [total_cost(s) for s in (*refined, *states) if s.hypothesis != best.hypothesis]
     margin = min(others) / max(total_cost(best), 1e-9) if others else float("inf")
@@ -119,5 +125,3 @@ def _leaders(states: list[PoseShape], keep: int) -> list[PoseShape]:
         if len(chosen) == keep:
             break
     return chosen
-
-

@@ -166,7 +166,9 @@ def _linearise(
         add(index, np.broadcast_to(direction, gap.shape), gap @ direction, config.tangential * weight)
     # The cost is in the same robust measure for every start; a point without a partner pays in full.
     cost += 0.5 * share * float(np.where(agrees, robust * squared, robust_m**2).sum())
-    residual = float(np.sort(np.where(agrees, np.abs(across), np.linalg.norm(gap, axis=1)))[: int(0.9 * len(gap)) + 1].mean())
+    residual = float(
+        np.sort(np.where(agrees, np.abs(across), np.linalg.norm(gap, axis=1)))[: int(0.9 * len(gap)) + 1].mean()
+    )
 
     # Space seen empty stays empty.
     if config.free_space and evidence.silhouette is not None:

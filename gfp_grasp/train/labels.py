@@ -1,0 +1,152 @@
+"""Labels for GFPNet: where each vertex of a fitted primitive belongs on the true surface.
+
+The label of a fit is the fit drawn onto the whole true surface by the active contour (GFS), stiff first, then soft.
+Labels that fold or leave more than 2 mm are dropped and counted.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, replace
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from gfp_grasp.deform import SnakeConfig, TemplatePoints, evolve, template_points
+from gfp_grasp.errors import FitDiverged, TooFewPoints
+from gfp_grasp.meshes import crossing_faces, sample_surface, vertex_normals
+from gfp_grasp.parallel import pmap
+from gfp_grasp.primitives import load_primitive
+from gfp_grasp.register import FitConfig, fit_primitive, gather_evidence, handle_is_seen
+from gfp_grasp.shapes import make_shape
+from gfp_grasp.train.views import View, cached_views
+from gfp_grasp.transforms import apply_T, invert_T
+from gfp_grasp.types import FittedPrimitive
+
+_MAX_RESIDUAL_M = 0.002
+_STAGES = (
+    SnakeConfig(steps=10, elastic=1.0, bending=4.0, reach_m=0.03, smooth=3),
+    SnakeConfig(steps=10, elastic=0.3, bending=1.0, reach_m=0.015, smooth=3),
+    SnakeConfig(steps=8, elastic=0.05, bending=0.1, reach_m=0.008, smooth=3),
+)
+
+
+@dataclass(frozen=True, eq=False)
+class Label:
+    """One fitted view with its label, in the primitive's own frame (rigid, metric).
+
+    Attributes:
+        category: Class of the primitive.
+        twin: Whether the primitive is the handle-less twin.
+        vertices: (v, 3) m, the fit.
+        target: (v, 3) m, where the vertices belong.
+        template: Observed and carried points.
+    """
+
+    category: str
+    twin: bool
+    vertices: np.ndarray
+    target: np.ndarray
+    template: TemplatePoints
+
+
+def make_labels(
+    family: str,
+    split: str,
+    *,
+    num_views: int = 4,
+    limit: int | None = None,
+    runs: Path = Path("runs"),
+    fit: FitConfig = FitConfig(),
+    workers: int = 1,
+    progress=None,
+) -> tuple[list[Label], dict[str, int]]:
+    """Labels of the cached views of one split, and how many were kept and dropped for which reason."""
+    views = cached_views(family, split, num_views=num_views, limit=limit, folder=runs / "views", workers=workers)
+    make = partial(_cached_label, folder=runs / "labels", fit=fit)
+    answers = pmap(make, views, workers=workers, progress=progress)
+    counts: dict[str, int] = {}
+    for _, verdict in answers:
+        counts[verdict] = counts.get(verdict, 0) + 1
+    return [label for label, _ in answers if label is not None], counts
+
+
+def label_fit(fit: FittedPrimitive, truth_points: np.ndarray, truth_normals: np.ndarray) -> tuple[np.ndarray, float]:
+    """Draw a fit onto a whole true surface.
+
+    Args:
+        fit: Registered primitive.
+        truth_points: (n, 3) m, dense samples in the fit's own frame.
+        truth_normals: (n, 3) unit, outward.
+
+    Returns:
+        (v, 3) m label and its mean distance m to the surface.
+    """
+    vertices = fit.primitive.shape(fit.coefficients, fit.scale)
+    moved = vertices
+    for stage in _STAGES:
+        moved = evolve(moved, fit.primitive.faces, truth_points, truth_normals, config=stage)
+    normals = vertex_normals(moved, fit.primitive.faces)
+    distance, nearest = cKDTree(truth_points).query(moved, k=8)
+    agrees = np.einsum("vi,vki->vk", normals, truth_normals[nearest]) > 0.5
+    return moved, float(np.where(agrees, distance, 2 * _MAX_RESIDUAL_M).min(axis=1).mean())
+
+
+def _cached_label(view: View, *, folder: Path, fit: FitConfig) -> tuple[Label | None, str]:
+    key = hashlib.sha256(view.points.tobytes() + repr(fit).encode() + _card_id(view.family)).hexdigest()[:20]
+    path = folder / view.family / f"{key}.npz"
+    if path.is_file():
+        with np.load(path) as s:
+            if str(s["verdict"]) != "kept":
+                return None, str(s["verdict"])
+            template = TemplatePoints(s["points"].astype(float), s["normals"].astype(float), s["carried"])
+            label = Label(
+                view.family, bool(s["twin"]), s["vertices"].astype(float), s["target"].astype(float), template
+            )
+            return label, "kept"
+    label, verdict = _label(view, fit)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial_path = path.with_suffix(".tmp.npz")
+    if label is None:
+        np.savez(partial_path, verdict=verdict)
+    else:
+        np.savez_compressed(
+            partial_path,
+            verdict=verdict,
+            twin=label.twin,
+            vertices=label.vertices.astype(np.float32),
+            target=label.target.astype(np.float32),
+            points=label.template.points.astype(np.float32),
+            normals=label.template.normals.astype(np.float32),
+            carried=label.template.carried,
+        )
+    partial_path.rename(path)
+    return label, verdict
+
+
+def _label(view: View, config: FitConfig) -> tuple[Label | None, str]:
+    detection = view.detection()
+    try:
+        fit = fit_primitive(detection, load_primitive(view.family), config=config)
+    except (FitDiverged, TooFewPoints):
+        return None, "not fitted"
+    twin = fit.primitive.twin is not None and not handle_is_seen(fit, gather_evidence(detection))
+    if twin:
+        assert fit.primitive.twin is not None
+        fit = replace(fit, primitive=fit.primitive.twin)
+    mesh = make_shape(view.family, view.seed).mesh
+    points, normals, _ = sample_surface(mesh, 12000, np.random.default_rng(view.seed))
+    T = invert_T(fit.T_world_object) @ view.T_world_object
+    target, residual = label_fit(fit, apply_T(T, points), normals @ T[:3, :3].T)
+    if residual > _MAX_RESIDUAL_M:
+        return None, "residual"
+    if len(crossing_faces(target, fit.primitive.faces)) > 0.01 * len(target):
+        return None, "folded"
+    vertices = fit.primitive.shape(fit.coefficients, fit.scale)
+    return Label(view.family, twin, vertices, target, template_points(fit, detection)), "kept"
+
+
+def _card_id(family: str) -> bytes:
+    return str(load_primitive(family).card.get("sha256", "")).encode()

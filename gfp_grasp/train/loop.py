@@ -1,0 +1,164 @@
+"""One training loop for every network: seeded, resumable, and leaving weights with a card."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import sys
+import time
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import torch
+from safetensors.torch import save_file
+from torch import Tensor, nn
+
+from gfp_grasp.errors import InvalidOption
+
+Batch = tuple[Tensor, ...]
+
+
+@dataclass(frozen=True)
+class LoopConfig:
+    """How a network is trained.
+
+    Attributes:
+        steps: Optimiser steps.
+        batch: Samples a step.
+        rate: Adam's learning rate at the start.
+        decay: Factor on the rate after each of ten equal spans of the schedule (the paper's 0.92).
+        seed: Of initial weights and of the order of the samples.
+        bf16: Multiply in bfloat16 (autocast); weights and losses stay float32.
+        checkpoint_s: Seconds between checkpoints.
+        device: "cpu" or "cuda".
+    """
+
+    steps: int
+    batch: int
+    rate: float = 1e-4
+    decay: float = 0.92
+    seed: int = 0
+    bf16: bool = True
+    checkpoint_s: float = 60.0
+    device: str = "cpu"
+
+    def __post_init__(self) -> None:
+        if self.steps < 1 or self.batch < 1 or self.rate <= 0 or not 0 < self.decay <= 1:
+            raise InvalidOption("steps and batch must be at least 1, rate positive, decay in (0, 1]")
+
+
+def train(
+    network: nn.Module,
+    batches: Callable[[torch.Generator], Iterator[Batch]],
+    loss: Callable[[nn.Module, Batch], Tensor],
+    *,
+    config: LoopConfig,
+    checkpoint: Path,
+    report: Callable[[int, float], None] | None = None,
+) -> tuple[nn.Module, float]:
+    """Optimise a network with Adam; resumes from the checkpoint where there is one.
+
+    Args:
+        network: Freshly made after `torch.manual_seed(config.seed)`.
+        batches: Endless stream of batches for a generator.
+        loss: Scalar loss of one batch.
+        config: Schedule.
+        checkpoint: File that holds the state between runs.
+        report: Told the step and the mean loss since the last report, about every hundredth of the schedule.
+
+    Returns:
+        The trained network in evaluation mode, and the hours of wall clock that all runs took.
+    """
+    network.to(config.device).train()
+    optimiser = torch.optim.Adam(network.parameters(), lr=config.rate)
+    span = max(1, config.steps // 10)
+    schedule = torch.optim.lr_scheduler.StepLR(optimiser, span, config.decay)
+    done, seconds = 0, 0.0
+    if checkpoint.is_file():
+        state = torch.load(checkpoint, map_location=config.device, weights_only=True)
+        network.load_state_dict(state["network"])
+        optimiser.load_state_dict(state["optimiser"])
+        schedule.load_state_dict(state["schedule"])
+        done, seconds = int(state["done"]), float(state["seconds"])
+    # The stream is a function of seed and step, so a resumed run does not see the first batches again.
+    stream = batches(torch.Generator().manual_seed(config.seed * 1_000_003 + done))
+    start = saved = time.monotonic()
+    summed, count = 0.0, 0
+    for step in range(done, config.steps):
+        batch = tuple(part.to(config.device) for part in next(stream))
+        with torch.autocast(config.device, dtype=torch.bfloat16, enabled=config.bf16):
+            value = loss(network, batch)
+        optimiser.zero_grad(set_to_none=True)
+        value.backward()
+        nn.utils.clip_grad_norm_(network.parameters(), 1.0)
+        optimiser.step()
+        schedule.step()
+        summed, count = summed + float(value.detach()), count + 1
+        if report is not None and (step + 1) % max(1, config.steps // 100) == 0:
+            report(step + 1, summed / count)
+            summed, count = 0.0, 0
+        now = time.monotonic()
+        if now - saved > config.checkpoint_s or step + 1 == config.steps:
+            saved = now
+            _save_checkpoint(checkpoint, network, optimiser, schedule, step + 1, seconds + now - start)
+    return network.cpu().eval(), (seconds + time.monotonic() - start) / 3600
+
+
+def write_weights(
+    network: nn.Module, path: Path, *, config: object, data: Mapping[str, object], hours: float, metrics: Mapping
+) -> Path:
+    """Write weights (float16 safetensors) and their card (JSON beside them).
+
+    Args:
+        network: Trained.
+        path: Of the .safetensors file.
+        config: Dataclass with the seed and schedule.
+        data: What it was trained on.
+        hours: Wall clock.
+        metrics: Measured on data it was not trained on, with the float16 weights.
+    """
+    path.parent.mkdir(parents=True, exist_ok=True)
+    save_file({name: tensor.half().contiguous() for name, tensor in network.state_dict().items()}, path)
+    card = {
+        "command": " ".join(["gfp-grasp", *sys.argv[1:]]),
+        "config": asdict(config),  # type: ignore[call-overload]
+        "data": dict(data),
+        "hours": round(hours, 3),
+        "torch": torch.__version__.split("+")[0],
+        "metrics": dict(metrics),
+        "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
+    }
+    card_path = path.with_suffix(".json")
+    card_path.write_text(json.dumps(card, indent=1) + "\n")
+    return card_path
+
+
+def shuffled(parts: Batch, batch: int) -> Callable[[torch.Generator], Iterator[Batch]]:
+    """Endless batches of samples drawn without replacement, pass after pass, from tensors of equal length."""
+
+    def stream(generator: torch.Generator) -> Iterator[Batch]:
+        count = len(parts[0])
+        while True:
+            order = torch.randperm(count, generator=generator)
+            for start in range(0, max(count - batch, 0) + 1, batch):
+                index = order[start : start + batch]
+                yield tuple(part[index] for part in parts)
+
+    return stream
+
+
+def _save_checkpoint(path: Path, network, optimiser, schedule, done: int, seconds: float) -> None:
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial = path.with_suffix(".tmp")
+    torch.save(
+        {
+            "network": network.state_dict(),
+            "optimiser": optimiser.state_dict(),
+            "schedule": schedule.state_dict(),
+            "done": done,
+            "seconds": seconds,
+        },
+        partial,
+    )
+    partial.replace(path)

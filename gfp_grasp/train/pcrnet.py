@@ -1,0 +1,144 @@
+"""Training of PCRNet on the starts that registration really has, for views of procedural shapes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from gfp_grasp.assets import data_dir
+from gfp_grasp.primitives import load_primitive
+from gfp_grasp.register.evidence import gather_evidence
+from gfp_grasp.register.modes import PoseShape
+from gfp_grasp.register.pcrnet import PCRNet, network_input
+from gfp_grasp.register.starts import starts
+from gfp_grasp.shapes import FAMILIES
+from gfp_grasp.train.loop import Batch, LoopConfig, shuffled, train, write_weights
+from gfp_grasp.train.views import View, cached_views
+from gfp_grasp.transforms import rotation_about, rotation_between
+
+DEFAULT = LoopConfig(steps=2500, batch=32, rate=3e-4)
+_MAX_YAW_RAD = np.deg2rad(50)
+
+
+def train_pcrnet(
+    *,
+    config: LoopConfig = DEFAULT,
+    num_views: int = 4,
+    limit: int | None = None,
+    out: Path | None = None,
+    runs: Path = Path("runs"),
+    report: Callable[[int, float], None] | None = None,
+) -> Path:
+    """Train, measure on the validation split and write weights and card.
+
+    Args:
+        config: Schedule.
+        num_views: Views of each shape.
+        limit: Shapes of a family; None takes the whole split.
+        out: Weights file; None is the shipped one.
+        runs: Folder of caches and checkpoints.
+        report: Progress.
+
+    Returns:
+        Path of the card.
+    """
+    torch.manual_seed(config.seed)
+    data = _samples("train", num_views, limit, runs, np.random.default_rng(config.seed), copies=2)
+    network, hours = train(
+        PCRNet(),
+        shuffled(data, config.batch),
+        _loss,
+        config=config,
+        checkpoint=runs / "pcrnet" / "checkpoint.pt",
+        report=report,
+    )
+    held_out = _samples("val", num_views, limit, runs, np.random.default_rng(config.seed + 1), copies=1)
+    out = out or data_dir("weights") / "pcrnet.safetensors"
+    return write_weights(
+        network.half().float(),
+        out,
+        config=config,
+        data={"families": FAMILIES, "split": "train", "views_a_shape": num_views, "samples": len(data[0])},
+        hours=hours,
+        metrics=_measure(network, held_out),
+    )
+
+
+def _samples(
+    split: str, num_views: int, limit: int | None, runs: Path, rng: np.random.Generator, *, copies: int
+) -> Batch:
+    """Template, cloud (s, n, 3), true rotation (s, 3, 3) and translation (s, 3), radius m (s,)."""
+    rows = []
+    for family in FAMILIES:
+        primitive = load_primitive(family)
+        for view in cached_views(family, split, num_views=num_views, limit=limit, folder=runs / "views"):
+            evidence = gather_evidence(view.detection())
+            near = [s for s in starts(primitive, evidence, (view.resting,)) if _turn(s, view, primitive) < _MAX_YAW_RAD]
+            for _ in range(copies if near else 0):
+                state = _jittered(near[int(rng.integers(len(near)))], rng)
+                template, cloud, centre, radius = network_input(state, primitive, evidence.points)
+                R, t = _truth(state, view, primitive)
+                # About the centre, in units of the radius: x -> R (x - c) + (R c + t - c), as the network moves it.
+                rows.append((template, cloud, R, (R @ centre + t - centre) / radius, radius))
+    columns = zip(*rows, strict=True)
+    return tuple(torch.tensor(np.array(column), dtype=torch.float32) for column in columns)
+
+
+def _truth(state: PoseShape, view: View, primitive) -> tuple[np.ndarray, np.ndarray]:
+    """Rigid motion (R, t) of the world that brings the start onto the true pose, as far as symmetry lets it show."""
+    R_true, t_true = view.T_world_object[:3, :3], view.T_world_object[:3, 3]
+    symmetric = np.isinf(primitive.symmetry.order)
+    R = rotation_between(state.R[:, 2], R_true[:, 2]) if symmetric else R_true @ state.R.T
+    return R, t_true - R @ state.t
+
+
+def _turn(state: PoseShape, view: View, primitive) -> float:
+    R, _ = _truth(state, view, primitive)
+    return float(np.arccos(np.clip((np.trace(R) - 1) / 2, -1, 1)))
+
+
+def _jittered(state: PoseShape, rng: np.random.Generator) -> PoseShape:
+    R = rotation_about(state.axis_world, rng.normal(0, np.deg2rad(8))) @ state.R
+    size = float(np.exp(state.log_scale).mean())
+    return replace(
+        state,
+        R=R,
+        t=state.t + rng.normal(0, 0.006, 3) * size,
+        log_scale=state.log_scale + rng.normal(0, 0.05, 3),
+    )
+
+
+def _loss(network: nn.Module, batch: Batch) -> Tensor:
+    """Mean distance of the moved template to where it should be, over all iterations."""
+    template, cloud, R_true, t_true, _ = batch
+    assert isinstance(network, PCRNet)
+    target = template @ R_true.transpose(1, 2) + t_true[:, None]
+    total = template.new_zeros(())
+    steps = 0
+    for R, t in network.iterate(template, cloud):
+        total = total + (template @ R.transpose(1, 2) + t[:, None] - target).norm(dim=-1).mean()
+        steps += 1
+    return total / steps
+
+
+def _measure(network: nn.Module, data: Batch) -> dict[str, float]:
+    """Mean distance of the template to its true place, mm, before and after."""
+    template, cloud, R_true, t_true, radius = data
+    target = template @ R_true.transpose(1, 2) + t_true[:, None]
+    with torch.inference_mode():
+        moved = []
+        for a, b in zip(template.split(256), cloud.split(256), strict=True):
+            R, t = network(a, b)
+            moved.append(a @ R.transpose(1, 2) + t[:, None])
+    after = ((torch.cat(moved) - target).norm(dim=-1).mean(dim=1) * radius).mean()
+    before = ((template - target).norm(dim=-1).mean(dim=1) * radius).mean()
+    return {
+        "val_samples": len(template),
+        "mean_error_before_mm": round(float(before) * 1000, 3),
+        "mean_error_after_mm": round(float(after) * 1000, 3),
+    }

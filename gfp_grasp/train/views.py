@@ -1,0 +1,212 @@
+"""Rendered partial views of procedural shapes: what every network of the package learns from.
+
+`python -m gfp_grasp.train.views --split train --views 4` fills a cache that later calls read; it resumes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import asdict, dataclass
+from functools import partial
+from pathlib import Path
+
+import numpy as np
+
+from gfp_grasp.camera import SensorModel, apply_sensor, cloud_of, intrinsics, render_mesh_view, sample_viewpoint
+from gfp_grasp.errors import InvalidOption
+from gfp_grasp.parallel import pmap
+from gfp_grasp.register.evidence import thin
+from gfp_grasp.shapes import make_shape, split_seeds
+from gfp_grasp.transforms import make_T, random_rotation, rotation_about
+from gfp_grasp.types import Detection, OrientedBox, PointCloud, SupportPlane
+
+CACHE = Path("runs/views")
+_MIN_PIXELS = 60
+_TRIES = 12
+
+
+@dataclass(frozen=True)
+class ViewsConfig:
+    """How training views are drawn.
+
+    Attributes:
+        elevation_deg: Range of the camera's elevation.
+        distance_m: Range of its distance.
+        fallen_share: Share of objects that lie or stand upside down.
+        hidden_share: Share of views of which an occluder hides a part.
+        width: Columns, px.
+        height: Rows, px.
+        fov_y_deg: Vertical field of view.
+        num_points: Points kept of a view.
+    """
+
+    elevation_deg: tuple[float, float] = (8.0, 75.0)
+    distance_m: tuple[float, float] = (0.45, 0.9)
+    fallen_share: float = 0.15
+    hidden_share: float = 0.15
+    width: int = 320
+    height: int = 240
+    fov_y_deg: float = 35.0
+    num_points: int = 3000
+
+    def __post_init__(self) -> None:
+        if not (0 <= self.fallen_share <= 1 and 0 <= self.hidden_share <= 1):
+            raise InvalidOption("fallen_share and hidden_share must be shares between 0 and 1")
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """One partial view with its truth.
+
+    Attributes:
+        family: Class.
+        seed: Of the shape.
+        points: (n, 3) m; the table is z = 0.
+        viewpoint: (3,) m.
+        T_world_object: (4, 4), of the shape's own frame.
+        resting: "upright", "upside_down" or "lying".
+    """
+
+    family: str
+    seed: int
+    points: np.ndarray
+    viewpoint: np.ndarray
+    T_world_object: np.ndarray
+    resting: str
+
+    def detection(self, *, category: str | None = None) -> Detection:
+        """The view as a detection of known class, its support known."""
+        category = category or self.family
+        low, high = self.points.min(axis=0), self.points.max(axis=0)
+        return Detection(
+            cloud=PointCloud(self.points, self.viewpoint),
+            up=np.array([0.0, 0.0, 1.0]),
+            support=SupportPlane(np.array([0.0, 0.0, 1.0]), 0.0),
+            category=category,
+            scores={category: 1.0},
+            box=OrientedBox(make_T(None, (low + high) / 2), high - low),
+        )
+
+
+def render_views(
+    family: str, seed: int, *, num_views: int, config: ViewsConfig = ViewsConfig(), first_seed: int = 0
+) -> list[View]:
+    """Views of one shape, the same for the same arguments; a shape that is never in sight gives fewer."""
+    shape = make_shape(family, seed)
+    rng = np.random.default_rng([first_seed, seed, sum(map(ord, family))])
+    K = intrinsics(config.width, config.height, config.fov_y_deg)
+    views = []
+    for _ in range(num_views):
+        for _ in range(_TRIES):
+            view = _one_view(shape, rng, K, config)
+            if view is not None:
+                views.append(view)
+                break
+    return views
+
+
+def cached_views(
+    family: str,
+    split: str,
+    *,
+    num_views: int = 4,
+    limit: int | None = None,
+    folder: Path = CACHE,
+    workers: int = 1,
+    config: ViewsConfig = ViewsConfig(),
+    progress=None,
+) -> list[View]:
+    """Views of every shape of a split, rendered where the cache lacks them."""
+    seeds = split_seeds(family, split)[:limit]
+    jobs = [(family, seed) for seed in seeds]
+    make = partial(_load_or_render, num_views=num_views, folder=folder, config=config)
+    return [view for views in pmap(make, jobs, workers=workers, progress=progress) for view in views]
+
+
+def _load_or_render(job: tuple[str, int], *, num_views: int, folder: Path, config: ViewsConfig) -> list[View]:
+    family, seed = job
+    path = folder / family / f"{seed:06d}_{num_views}_{config_id(config)}.npz"
+    if path.is_file():
+        with np.load(path) as stored:
+            splits = np.cumsum(stored["count"])[:-1]
+            return [
+                View(family, seed, p.astype(np.float64), v, T, str(r))
+                for p, v, T, r in zip(
+                    np.split(stored["points"], splits),
+                    stored["viewpoint"],
+                    stored["T_world_object"],
+                    stored["resting"],
+                    strict=True,
+                )
+            ]
+    views = render_views(family, seed, num_views=num_views, config=config)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    partial_path = path.with_suffix(".tmp.npz")
+    np.savez_compressed(
+        partial_path,
+        count=np.array([len(v.points) for v in views]),
+        points=np.concatenate([v.points for v in views]).astype(np.float32),
+        viewpoint=np.array([v.viewpoint for v in views]),
+        T_world_object=np.array([v.T_world_object for v in views]),
+        resting=np.array([v.resting for v in views]),
+    )
+    partial_path.rename(path)
+    return views
+
+
+def config_id(config: object) -> str:
+    """Eight hexadecimal digits that change with any field of a config dataclass."""
+    import hashlib
+    import json
+
+    return hashlib.sha256(json.dumps(asdict(config), sort_keys=True).encode()).hexdigest()[:8]  # type: ignore[call-overload]
+
+
+def _one_view(shape, rng: np.random.Generator, K: np.ndarray, config: ViewsConfig) -> View | None:
+    resting, T = _rest(shape.mesh.vertices, rng, config)
+    mesh = shape.mesh.copy()
+    mesh.apply_transform(T)
+    target = mesh.bounds.mean(axis=0) + rng.uniform(-0.03, 0.03, 3)
+    camera = sample_viewpoint(
+        rng, elevation_deg=config.elevation_deg, distance_m=rng.uniform(*config.distance_m), target=target
+    )
+    image, index = render_mesh_view(
+        [mesh], T_world_camera=camera, K=K, width=config.width, height=config.height, table_height=0.0
+    )
+    sensors = (SensorModel.gaussian(0.001), SensorModel.realsense(), SensorModel.kinect(), SensorModel.gaussian(0.002))
+    image = apply_sensor(image, sensors[rng.integers(len(sensors))], rng)
+    mask = (index == 0) & (image.depth_m > 0)
+    if rng.random() < config.hidden_share:
+        mask = _occlude(mask, rng)
+    if mask.sum() < _MIN_PIXELS:
+        return None
+    cloud = cloud_of(image, mask)
+    assert cloud.viewpoint is not None
+    return View(shape.family, shape.seed, thin(cloud.points, config.num_points), cloud.viewpoint, T, resting)
+
+
+def _rest(vertices: np.ndarray, rng: np.random.Generator, config: ViewsConfig) -> tuple[str, np.ndarray]:
+    """How the object rests on z = 0, and its pose."""
+    resting = "upright" if rng.random() >= config.fallen_share else ("upside_down", "lying")[int(rng.integers(2))]
+    R = np.eye(3)
+    if resting == "upside_down":
+        R = rotation_about((1, 0, 0), np.pi)
+    elif resting == "lying":
+        roll = random_rotation(rng)
+        R = rotation_about((0, 1, 0), np.pi / 2) @ rotation_about((0, 0, 1), float(np.arctan2(roll[1, 0], roll[0, 0])))
+    R = rotation_about((0, 0, 1), rng.uniform(0, 2 * np.pi)) @ R
+    turned = vertices @ R.T
+    return resting, make_T(R, (0.0, 0.0, -turned[:, 2].min()))
+
+
+def _occlude(mask: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """Cut off up to half of the pixels by a straight edge in a random direction."""
+    rows, columns = np.nonzero(mask)
+    angle = rng.uniform(0, 2 * np.pi)
+    along = rows * np.sin(angle) + columns * np.cos(angle)
+    keep = along > np.quantile(along, rng.uniform(0.1, 0.5))
+    cut = np.zeros_like(mask)
+    cut[rows[keep], columns[keep]] = True
+    return cut
+
+
+__all__ = ["View", "ViewsConfig", "cached_views", "config_id", "render_views"]
