@@ -1,0 +1,39 @@
+"""One object or many out of a depth picture or a cloud: support plane, clusters, category, oriented box."""
+
+from typing import TYPE_CHECKING
+
+from gfp_grasp.detect.box import upright_box
+from gfp_grasp.detect.clusters import ClusterConfig, label_picture, label_points
+from gfp_grasp.detect.detector import DetectConfig, detect_objects
+from gfp_grasp.detect.merging import MergeConfig
+from gfp_grasp.detect.noise import estimate_sigma
+from gfp_grasp.detect.single import detect_single
+from gfp_grasp.detect.support import SupportConfig, find_support
+from gfp_grasp.detect.validate import clean_cloud
+
+if TYPE_CHECKING:
+    from gfp_grasp.detect.classifier import classify
+
+__all__ = [
+    "ClusterConfig",
+    "DetectConfig",
+    "MergeConfig",
+    "SupportConfig",
+    "classify",
+    "clean_cloud",
+    "detect_objects",
+    "detect_single",
+    "estimate_sigma",
+    "find_support",
+    "label_picture",
+    "label_points",
+    "upright_box",
+]
+
+
+def __getattr__(name: str) -> object:
+    if name == "classify":  # brings torch
+        from gfp_grasp.detect.classifier import classify
+
+        return classify
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy import ndimage
@@ -40,7 +40,7 @@ class ClusterConfig:
     gap_m: float = 0.012
     min_area_m2: float = 8e-4
     max_object_m: float = 0.6
-    merge: MergeConfig = MergeConfig()
+    merge: MergeConfig = field(default_factory=MergeConfig)
 
     def __post_init__(self) -> None:
         for name in ("floor_m", "jump_m", "max_concavity", "gap_m", "min_area_m2", "max_object_m"):
@@ -85,6 +85,9 @@ def label_picture(
     rows, columns = (slice(a.min(), a.max() + 1) for a in np.nonzero(above))
     points, above = points[rows, columns], above[rows, columns]
     depth = np.linalg.norm(points - eye, axis=2)
+    above = above & (_connected_pixels(above, depth, config) > 0)  # flying pixels hang together with nothing
+    if not above.any():
+        return labels
     crease = concavity(points, above, depth, eye, focal_px, jump=_jump(depth, config)) > config.max_concavity
     crease = ndimage.binary_dilation(crease, iterations=_CREASE_PX)
     pieces = _connected_pixels(above & ~crease, depth, config)

@@ -1,0 +1,157 @@
+"""From a depth picture or a cloud to detections: support, objects, category, box."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from gfp_grasp.camera import backproject
+from gfp_grasp.detect.box import upright_box
+from gfp_grasp.detect.clusters import ClusterConfig, label_picture, label_points
+from gfp_grasp.detect.noise import estimate_sigma
+from gfp_grasp.detect.support import SupportConfig, find_support
+from gfp_grasp.errors import InvalidOption, NothingDetected
+from gfp_grasp.transforms import apply_T, invert_T
+from gfp_grasp.types import DepthImage, Detection, PointCloud, SupportPlane
+
+UP = np.array([0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True)
+class DetectConfig:
+    """Switches of detection.
+
+    Attributes:
+        support: The plane.
+        clusters: What stands on it.
+        max_points: Points of a cloud that are looked at; more are thinned evenly.
+        max_object_points: Points that a detection keeps.
+        max_width_m: One object of a known class is not wider; two clusters farther apart are refused.
+    """
+
+    support: SupportConfig = field(default_factory=SupportConfig)
+    clusters: ClusterConfig = field(default_factory=ClusterConfig)
+    max_points: int = 400_000
+    max_object_points: int = 60_000
+    max_width_m: float = 0.45
+
+    def __post_init__(self) -> None:
+        if self.max_points < 1000 or self.max_object_points < 1000 or self.max_width_m <= 0:
+            raise InvalidOption(f"{self}: at least 1000 points and a positive width are expected")
+
+
+def detect_objects(
+    image: DepthImage | PointCloud, *, up: np.ndarray | None = UP, config: DetectConfig = DetectConfig()
+) -> tuple[Detection, ...]:
+    """Every object that stands on the support, biggest first.
+
+    Args:
+        image: A depth picture, which also tells touching objects apart, or bare points.
+        up: (3,) roughly the support's normal, world frame; None looks for a plane from the camera's axes.
+        config: Switches.
+
+    Raises:
+        NothingDetected: No support plane, or nothing on it.
+    """
+    if isinstance(image, DepthImage):
+        return _detect_in_picture(image, up, config)
+    return _detect_in_points(image, up, config)
+
+
+def picture_support(image: DepthImage, up: np.ndarray | None, config: DetectConfig) -> SupportPlane | None:
+    """Support plane of a depth picture, world frame; the camera's own axes are tried where up is None."""
+    points = backproject(image)
+    points = points[np.isfinite(points).all(axis=2)]
+    eye = image.T_world_camera[:3, 3]
+    if up is not None:
+        return find_support(points, up, viewpoint=eye, config=config.support)
+    seen = find_support(apply_T(invert_T(image.T_world_camera), points), None, config=config.support)
+    if seen is None:
+        return None
+    normal = image.T_world_camera[:3, :3] @ seen.normal
+    return SupportPlane(normal, seen.height_m + float(normal @ eye))
+
+
+def make_detection(
+    points: np.ndarray,
+    *,
+    viewpoint: np.ndarray | None,
+    up: np.ndarray,
+    support: SupportPlane | None,
+    view: DepthImage | None,
+    mask: np.ndarray | None,
+    category: str | None,
+    config: DetectConfig,
+) -> Detection:
+    """A detection of the points of one object: category, box, sensor noise."""
+    points = points[:: -(-len(points) // config.max_object_points)]
+    scores = {category: 1.0} if category else _scores(points, up, support)
+    return Detection(
+        cloud=PointCloud(points, viewpoint),
+        up=up,
+        support=support,
+        category=max(scores, key=lambda name: scores[name]),
+        scores=scores,
+        box=upright_box(points, up),
+        view=view,
+        mask=mask,
+        sensor_sigma_m=estimate_sigma(points, viewpoint),
+    )
+
+
+def _detect_in_picture(image: DepthImage, up: np.ndarray | None, config: DetectConfig) -> tuple[Detection, ...]:
+    support = picture_support(image, up, config)
+    if support is None:
+        raise NothingDetected(
+            "no support plane in the depth picture: is a table in view, and is `up` its normal in the world frame "
+            "(up=None tries the camera's axes)? A picture of one object alone goes to complete_to_mesh as a cloud"
+        )
+    points, eye = backproject(image), image.T_world_camera[:3, 3]
+    labels = label_picture(points, support, eye, float(image.K[0, 0]), config=config.clusters)
+    if not labels.any():
+        raise NothingDetected("a support plane, but nothing on it that is large enough for an object")
+    return tuple(
+        make_detection(
+            points[labels == k],
+            viewpoint=eye,
+            up=support.normal,
+            support=support,
+            view=image,
+            mask=labels == k,
+            category=None,
+            config=config,
+        )
+        for k in range(1, int(labels.max()) + 1)
+    )
+
+
+def _detect_in_points(cloud: PointCloud, up: np.ndarray | None, config: DetectConfig) -> tuple[Detection, ...]:
+    points = cloud.points[:: -(-len(cloud.points) // config.max_points)]
+    support = find_support(points, up, viewpoint=cloud.viewpoint, config=config.support)
+    if support is None:
+        raise NothingDetected(
+            "no support plane in the cloud: a single object without its table goes to complete_to_mesh"
+        )
+    labels = label_points(points, support, config=config.clusters)
+    if not labels.any():
+        raise NothingDetected("a support plane, but nothing on it that is large enough for an object")
+    return tuple(
+        make_detection(
+            points[labels == k],
+            viewpoint=cloud.viewpoint,
+            up=support.normal,
+            support=support,
+            view=None,
+            mask=None,
+            category=None,
+            config=config,
+        )
+        for k in range(1, int(labels.max()) + 1)
+    )
+
+
+def _scores(points: np.ndarray, up: np.ndarray, support: SupportPlane | None) -> dict[str, float]:
+    from gfp_grasp.detect.classifier import classify  # torch, only where a category is asked for
+
+    return classify(points, up, support)
