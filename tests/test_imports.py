@@ -1,4 +1,4 @@
-"""The rooms of the package stand in rows; imports run downwards or along a row, and heavy libraries stay where they are."""
+"""Rooms stand in rows: imports run downwards or along a row, and heavy libraries stay where they are."""
 
 import ast
 import re
