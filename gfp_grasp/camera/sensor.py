@@ -197,12 +197,15 @@ def _torn_silhouettes(
 
 
 def _is_slope(depth: np.ndarray, edge_m: float) -> np.ndarray:
-    """(h, w) bool: one steep but even surface, whose depth is midway between its neighbours'."""
-    rows, columns = _bend(depth, 0), _bend(depth, 1)
-    return np.maximum(rows, columns) < edge_m / 2
+    """(h, w) bool: one steep but even surface. The inverse depth of a plane is linear in the pixels, so it does not bend."""
+    inverse = np.divide(1.0, depth, out=np.full_like(depth, np.nan), where=depth > 0)
+    bend = np.maximum(_bend(inverse, 0), _bend(inverse, 1)) * depth**2
+    return bend < edge_m / 2
 
 
-def _bend(depth: np.ndarray, axis: int) -> np.ndarray:
-    padded = np.pad(depth, [(1, 1) if a == axis else (0, 0) for a in (0, 1)], mode="reflect", reflect_type="odd")
-    before, after = (np.take(padded, np.arange(depth.shape[axis]) + k, axis=axis) for k in (0, 2))
-    return np.abs(before + after - 2 * depth)
+def _bend(values: np.ndarray, axis: int) -> np.ndarray:
+    """(h, w) size of the second difference; 0 at the picture's border, where there is none."""
+    bend = np.zeros_like(values)
+    inner = np.moveaxis(bend, axis, 0)[1:-1]
+    inner[:] = np.moveaxis(np.abs(np.diff(values, n=2, axis=axis)), axis, 0)
+    return bend
