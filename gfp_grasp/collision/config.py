@@ -22,7 +22,7 @@ class DecomposeConfig:
             metres under real_metric. Smaller means more parts.
         max_convex_hull: Most parts, by merging; -1 for no limit.
         preprocess_mode: "off" hands the mesh to CoACD as it is, which needs a manifold; "on" remeshes it, which
-            inflates thin walls; "auto" is "off" for a mesh that is a closed volume once cleaned, and "on" for any other.
+            inflates thin walls; "auto" is "off" for a mesh that is a closed volume once cleaned, else "on".
         preprocess_resolution: Of the remeshing, 20 to 100.
         resolution: Samples for the distance between surface and hull, 1000 to 10000.
         mcts_nodes: Cutting planes a level of the tree search, 10 to 40.
@@ -59,7 +59,7 @@ class DecomposeConfig:
     apx_mode: Literal["ch", "box"] = "ch"
     seed: int = 0
     real_metric: bool = False
-    time_limit_s: float = 120.0
+    time_limit_s: float = 300.0
     memory_limit_mb: int | None = 4096
     attempts: int = 4
 
@@ -93,8 +93,8 @@ class DecomposeConfig:
 
 
 def _number(value: object, name: str, low: float, high: float) -> None:
-    real = isinstance(value, int | float) and not isinstance(value, bool)
-    if not real or not math.isfinite(value) or not low <= value <= high or (low == 0.0 and value == 0.0):
+    number = float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
+    if not math.isfinite(number) or not low <= number <= high or number == 0.0:
         start = "above 0" if low == 0.0 else f"at least {low:g}"
         end = "" if high == math.inf else f", at most {high:g}"
         raise InvalidOption(f"{name} is {value!r}; a finite number {start}{end} is expected")

@@ -40,28 +40,25 @@ def convex_parts(clouds: Iterable[np.ndarray]) -> tuple[tuple[ConvexPart, ...], 
     return kept, len(hulls) - len(kept)
 
 
-def depth_in_parts(points: np.ndarray, parts: Sequence[ConvexPart]) -> np.ndarray:
-    """Largest signed distance to the planes of each part.
+def within_parts(points: np.ndarray, parts: Sequence[ConvexPart], *, margin_m: float = 0.0) -> np.ndarray:
+    """Which points lie within which parts.
 
     Args:
         points: (n, 3) m.
         parts: p convex parts.
+        margin_m: How far beyond every plane of a part still counts; negative for how deep a point must lie.
 
     Returns:
-        (n, p) m: within a part, minus the distance to its surface; outside, positive and at most the distance.
+        (n, p) bool.
     """
-    normals, starts, offsets = [], [], []
-    for part in parts:
-        triangles = part.vertices[part.faces]
-        across = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-        length = np.linalg.norm(across, axis=1)
-        solid = length > 1e-9 * length.max()  # the direction of a needle is rounding only
-        normal = across[solid] / length[solid, None]
-        starts.append(sum(map(len, normals)))
-        normals.append(normal)
-        offsets.append(np.einsum("ij,ij->i", normal, triangles[solid, 0]))
-    signed = points @ np.concatenate(normals).T - np.concatenate(offsets)
-    return np.maximum.reduceat(signed, starts, axis=1)
+    within = np.zeros((len(points), len(parts)), dtype=bool)
+    for index, part in enumerate(parts):
+        low, high = part.vertices.min(0) - margin_m, part.vertices.max(0) + margin_m
+        near = np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))
+        if len(near):
+            normals, offsets = _planes(part)
+            within[near, index] = (points[near] @ normals.T - offsets).max(axis=1) <= margin_m
+    return within
 
 
 def volume_m3(part: ConvexPart) -> float:
@@ -79,3 +76,13 @@ def _outward(points: np.ndarray, hull: ConvexHull) -> np.ndarray:
     number = np.empty(len(points), dtype=np.int64)
     number[hull.vertices] = np.arange(len(hull.vertices))
     return number[faces]
+
+
+def _planes(part: ConvexPart) -> tuple[np.ndarray, np.ndarray]:
+    """Unit outward normals (q, 3) and offsets (q,) m of the faces."""
+    triangles = part.vertices[part.faces]
+    across = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    length = np.linalg.norm(across, axis=1)
+    solid = length > 1e-9 * length.max()  # the direction of a needle is rounding only
+    normals = across[solid] / length[solid, None]
+    return normals, np.einsum("ij,ij->i", normals, triangles[solid, 0])

@@ -8,7 +8,7 @@ import numpy as np
 import trimesh
 from scipy.spatial import KDTree
 
-from gfp_grasp.collision.convex import depth_in_parts, volume_m3
+from gfp_grasp.collision.convex import volume_m3, within_parts
 from gfp_grasp.types import ConvexPart
 
 # Faces on which two parts meet are no surface of the union. They are told by a step outward that lands in the
@@ -40,7 +40,7 @@ def union_error_m(
     owner = np.repeat(np.arange(len(parts)), [len(part.faces) for part in parts])
     of_union, triangle = _samples(part_triangles, 2 * count, rng)
     normals = _normals(part_triangles)[triangle]
-    inside = depth_in_parts(of_union + step * normals, parts) <= 0
+    inside = within_parts(of_union + step * normals, parts)
     inside[np.arange(len(of_union)), owner[triangle]] = False
     seen = np.logical_not(inside.any(axis=1))
     if not seen.any():  # parts all within each other: nothing can be hidden but by rounding
@@ -52,7 +52,7 @@ def union_error_m(
     to_mesh, _ = _nearest(of_union, of_mesh, mesh_triangles[mesh_triangle])
     to_union, foot = _nearest(of_mesh, of_union, part_triangles[triangle])
     # A foot on the hidden stretch of a triangle is no surface: the nearest sample that is seen stands in for it.
-    hidden = depth_in_parts(foot, parts).min(axis=1) < -step
+    hidden = within_parts(foot, parts, margin_m=-step).any(axis=1)
     if hidden.any():
         to_union[hidden] = KDTree(of_union).query(of_mesh[hidden])[0]
     return _mean_p95_max(to_mesh, to_union)
@@ -71,7 +71,7 @@ def union_volume_m3(parts: Sequence[ConvexPart], *, count: int = 4000, rng: np.r
     chosen = rng.choice(len(volume), count, p=volume / volume.sum())
     weights = rng.dirichlet(np.ones(4), count)
     points = np.einsum("ni,nij->nj", weights, tetrahedra[chosen])
-    within = depth_in_parts(points, parts) <= 0
+    within = within_parts(points, parts)
     within[np.arange(count), owner[chosen]] = True
     return float(sum(map(volume_m3, parts)) * (1 / within.sum(axis=1)).mean())
 

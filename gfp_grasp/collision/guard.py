@@ -26,6 +26,10 @@ _lock = threading.Lock()
 class ChildLostError(Exception):
     """The child crashed, ran out of time or memory, or could not be started. Caught within collision/."""
 
+    def __init__(self, message: str, *, out_of_time: bool = False) -> None:
+        super().__init__(message)
+        self.out_of_time = out_of_time
+
 
 def run_guarded(
     vertices: np.ndarray, faces: np.ndarray, options: dict, *, time_limit_s: float, memory_limit_mb: int | None
@@ -116,7 +120,7 @@ class _Child:
             return pipe.receive(self.process.stdout)
         except (EOFError, OSError) as error:
             if out_of_time.is_set():
-                raise ChildLostError(f"no answer within {limit_s:.3g} s") from error
+                raise ChildLostError(f"no answer within {limit_s:.3g} s", out_of_time=True) from error
             code = self.process.wait(10)
             raise ChildLostError(f"the child ended with {_exit_name(code)}{self._last_words()}") from error
         finally:

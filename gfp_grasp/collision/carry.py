@@ -1,0 +1,129 @@
+"""A template's convex parts carried along with its deformation, and hulled again in milliseconds.
+
+Part vertices are bound to the template's surface once: CoACD cuts a surface without moving it, so that nearly all of them
+lie on it, and a point on a triangle goes where the triangle goes. One map moves all parts, so neighbours stay neighbours.
+Vertices of the template within a part are carried with it: where the deformed surface bulges, the part bulges too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from weakref import WeakKeyDictionary
+
+import numpy as np
+import trimesh
+from scipy.sparse import csr_matrix
+
+from gfp_grasp.collision.convex import convex_parts, within_parts
+from gfp_grasp.errors import InvalidMesh
+from gfp_grasp.types import ConvexPart, GenericPrimitive
+
+# CoACD's arithmetic scatters points of the surface by about 1e-8 of the size; this is far above it and below any wall.
+_ON_SURFACE_M = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class _Binding:
+    """Carried points p of all parts, bound to v vertices: weights (p, v), faces (p,) and their corners, heights (p,) m."""
+
+    weights: csr_matrix
+    corners: np.ndarray
+    height_m: np.ndarray
+    edge_m: np.ndarray
+    ends: np.ndarray
+
+
+_bindings: WeakKeyDictionary[GenericPrimitive, _Binding] = WeakKeyDictionary()
+
+
+def carry_parts(primitive: GenericPrimitive, deformed_local: np.ndarray) -> tuple[ConvexPart, ...]:
+    """Convex parts of a deformed primitive.
+
+    Args:
+        primitive: With parts; its handle-less twin stands in where the vertices are the twin's.
+        deformed_local: (v, 3) m, where its vertices (or its twin's) have gone, in any frame: the parts come in the same.
+
+    Returns:
+        The parts that MuJoCo compiles, in the primitive's order.
+
+    Raises:
+        InvalidMesh: The primitive has no parts, the vertices are not its own or not finite, or nothing solid is left.
+    """
+    primitive = bearer(primitive, len(deformed_local))
+    if not primitive.parts:
+        raise InvalidMesh(f"primitive {primitive.category!r} has no convex parts: build it with decompose_fine's")
+    vertices = np.asarray(deformed_local, dtype=np.float64)
+    if vertices.shape != primitive.vertices.shape or not np.isfinite(vertices).all():
+        raise InvalidMesh(f"deformed vertices of shape {vertices.shape} are not finite (v, 3)")
+    binding = _bindings.get(primitive)
+    if binding is None:
+        binding = _bindings[primitive] = _bind(primitive)
+    points = _moved(binding, vertices)
+    parts, dropped = convex_parts(np.split(points, binding.ends[:-1]))
+    if not parts:
+        raise InvalidMesh(f"all {dropped} carried parts are flat: the deformation has flattened the primitive")
+    return parts
+
+
+def bearer(primitive: GenericPrimitive, num_vertices: int) -> GenericPrimitive:
+    """The primitive or its twin, whichever has this many vertices.
+
+    Raises:
+        InvalidMesh: Neither has.
+    """
+    twin = primitive.twin
+    if num_vertices == len(primitive.vertices):
+        return primitive
+    if twin is not None and num_vertices == len(twin.vertices):
+        return twin
+    also = "" if twin is None else f", its twin {len(twin.vertices)}"
+    raise InvalidMesh(
+        f"{num_vertices} vertices came; primitive {primitive.category!r} has {len(primitive.vertices)}{also}"
+    )
+
+
+def _bind(primitive: GenericPrimitive) -> _Binding:
+    template = trimesh.Trimesh(primitive.vertices, primitive.faces, process=False)
+    owned = within_parts(primitive.vertices, primitive.parts, margin_m=_ON_SURFACE_M)
+    clouds = [
+        np.concatenate([part.vertices, primitive.vertices[owned[:, index]]])
+        for index, part in enumerate(primitive.parts)
+    ]
+    points = np.concatenate(clouds)
+    feet, _, face = trimesh.proximity.closest_point(template, points)
+    corners = primitive.faces[face]
+    triangles = primitive.vertices[corners]
+    barycentric = _barycentric(triangles, feet)
+    rows = np.repeat(np.arange(len(points)), 3)
+    weights = csr_matrix((barycentric.ravel(), (rows, corners.ravel())), (len(points), len(primitive.vertices)))
+    normals, edge = _frames(triangles)
+    height = np.einsum("ij,ij->i", points - feet, normals)
+    return _Binding(weights, corners, height, edge, np.cumsum([len(cloud) for cloud in clouds]))
+
+
+def _barycentric(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Weights (n, 3), not negative, of corners for points on triangles; the nearest corner's alone on a needle."""
+    sides = np.stack([triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]], axis=2)
+    gram = np.swapaxes(sides, 1, 2) @ sides
+    needle = np.linalg.det(gram) <= 1e-18 * np.trace(gram, axis1=1, axis2=2) ** 2
+    gram[needle] = np.eye(2)
+    target = np.swapaxes(sides, 1, 2) @ (points - triangles[:, 0])[:, :, None]
+    last = np.linalg.solve(gram, target)[:, :, 0]
+    weights = np.clip(np.column_stack([1 - last.sum(axis=1), last]), 0, None)
+    nearest = np.linalg.norm(triangles - points[:, None], axis=2).argmin(axis=1)
+    weights[needle] = np.eye(3)[nearest[needle]]
+    return weights / weights.sum(axis=1, keepdims=True)
+
+
+def _moved(binding: _Binding, vertices: np.ndarray) -> np.ndarray:
+    points = binding.weights @ vertices
+    normals, edge = _frames(vertices[binding.corners])
+    # What floats above the surface scales with the triangle below it.
+    return points + normals * (binding.height_m * edge / np.maximum(binding.edge_m, 1e-12))[:, None]
+
+
+def _frames(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Unit normals (n, 3), zero where degenerate, and sizes (n,) m: the root of twice the area."""
+    across = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    area = np.linalg.norm(across, axis=1)
+    return across / np.maximum(area, 1e-300)[:, None], np.sqrt(area)
