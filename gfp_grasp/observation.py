@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from gfp_grasp.camera import cast_rays
 from gfp_grasp.meshes import vertex_normals
@@ -82,7 +82,7 @@ def mark_observed(
         is known grows by a tenth of the distance to the nearest point.
     """
     points = detection.cloud.points
-    tree = cKDTree(points)
+    tree = KDTree(points)
     distance = tree.query(vertices)[0]
     spacing = float(np.median(tree.query(points[:: max(1, len(points) // 500)], k=min(2, len(points)))[0][:, -1]))
     observed = distance < max(3.0 * detection.sensor_sigma_m, 1.5 * spacing)

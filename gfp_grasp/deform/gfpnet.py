@@ -35,8 +35,8 @@ class PatchNet(nn.Module):
         self.source = mlp(6 + NEAREST * 7, width, width)
         self.template = mlp(7, width // 2, width, 2 * width)
         self.context = mlp(4 * width, 2 * width, width)
-        self.decode = nn.Sequential(mlp(2 * width, width, width), nn.Linear(width, 4))
-        last = self.decode[-1]
+        last = nn.Linear(width, 4)
+        self.decode = nn.Sequential(mlp(2 * width, width, width), last)
         nn.init.zeros_(last.weight)
         with torch.no_grad():
             last.bias.copy_(torch.tensor([0.0, 0.0, 0.0, -2.5]))
@@ -70,7 +70,7 @@ class PatchNet(nn.Module):
 
 
 class PaperNet(nn.Module):
-    """The paper's siamese encoder and fully connected decoder; iterative (64-128-1024) or one-shot (64-128-512-1024)."""
+    """The paper's siamese encoder and dense decoder: iterative (64-128-1024) or one-shot (64-128-512-1024)."""
 
     def __init__(self, num_source: int = 64, *, iterative: bool = True, dropout: float = 0.3) -> None:
         super().__init__()

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import factorized
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.meshes import vertex_normals
@@ -76,13 +76,14 @@ def evolve(
         return vertices.copy()
     L = laplacian(faces, len(vertices))
     solve = factorized(sparse.csc_matrix(sparse.eye(len(vertices)) + config.elastic * L + config.bending * (L.T @ L)))
-    tree = cKDTree(np.hstack([points, _NORMAL_LENGTH_M * normals]))
+    tree = KDTree(np.hstack([points, _NORMAL_LENGTH_M * normals]))
     count = min(config.smooth, len(points))
     displacement = np.zeros_like(vertices)
     for _ in range(config.steps):
         moved = vertices + displacement
         facing = vertex_normals(moved, faces)
-        _, near = tree.query(np.hstack([moved, _NORMAL_LENGTH_M * facing]), k=[*range(1, count + 1)])
+        _, near = tree.query(np.hstack([moved, _NORMAL_LENGTH_M * facing]), k=count)
+        near = np.reshape(near, (len(moved), count))
         agrees = np.einsum("vi,vki->vk", facing, normals[near]) > _MIN_NORMAL_COSINE
         gap = points[near] - moved[:, None]
         agrees &= np.linalg.norm(gap, axis=2) < config.reach_m

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from gfp_grasp.deform.template import TemplatePoints
 from gfp_grasp.meshes import vertex_normals
@@ -56,9 +56,10 @@ def make_patches(primitive: GenericPrimitive, vertices: np.ndarray, template: Te
     centre, axis = vertices[index[:, 0]], normals[index[:, 0]]
     frames = _frames(axis)
     # Walls apart: a template point belongs to a patch only if its normal agrees with the patch's.
-    tree = cKDTree(np.hstack([template.points, _NORMAL_LENGTH_M * template.normals]))
+    tree = KDTree(np.hstack([template.points, _NORMAL_LENGTH_M * template.normals]))
     count = min(NUM_TEMPLATE, len(template.points))
-    distance, near = tree.query(np.hstack([centre, _NORMAL_LENGTH_M * axis]), k=[*range(1, count + 1)])
+    distance, near = tree.query(np.hstack([centre, _NORMAL_LENGTH_M * axis]), k=count)
+    distance, near = np.reshape(distance, (-1, count)), np.reshape(near, (-1, count))
     num_seen = (distance < _SEES_M).sum(axis=1)
     keep = num_seen >= min(_MIN_POINTS, count)
     index, weights, near, centre, frames, num_seen = (a[keep] for a in (index, weights, near, centre, frames, num_seen))
@@ -109,7 +110,8 @@ def _layout(primitive: GenericPrimitive) -> tuple[np.ndarray, np.ndarray]:
         centres.append(int(np.argmax(distance)))
         distance = np.minimum(distance, np.linalg.norm(features - features[centres[-1]], axis=1))
     count = min(NUM_SOURCE, len(vertices))
-    reach, index = cKDTree(features).query(features[centres], k=[*range(1, count + 1)])
+    reach, index = KDTree(features).query(features[centres], k=count)
+    reach, index = np.reshape(reach, (-1, count)), np.reshape(index, (-1, count))
     if count < NUM_SOURCE:
         turn = np.arange(NUM_SOURCE) % count
         reach, index = reach[:, turn], index[:, turn]

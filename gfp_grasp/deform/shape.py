@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from gfp_grasp.deform.gfs import SnakeConfig, evolve
 from gfp_grasp.deform.patches import UNIT_M, Patches, blend, make_patches
@@ -34,7 +34,7 @@ class DeformConfig:
     method: Literal["gfpnet", "gfpnet-paper", "gfpnet-oneshot", "gfs", "none"] = "gfpnet"
     symmetry: bool = True
     iterations: int | None = None
-    snake: SnakeConfig = SnakeConfig()
+    snake: SnakeConfig = field(default_factory=SnakeConfig)
 
     def __post_init__(self) -> None:
         if self.method not in METHODS:
@@ -137,8 +137,8 @@ def _pulled(patches: Patches, predicted: np.ndarray, *, neighbours: int = 8) -> 
     """
     offsets = np.empty_like(patches.source)
     for i, (source, points) in enumerate(zip(patches.source, predicted, strict=True)):
-        nearest = points[cKDTree(points).query(source)[1]] - source
-        around = cKDTree(source).query(source, k=min(neighbours, len(source)))[1]
+        nearest = points[KDTree(points).query(source)[1]] - source
+        around = KDTree(source).query(source, k=min(neighbours, len(source)))[1]
         offsets[i] = nearest[around].mean(axis=1)
     return offsets
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from gfp_grasp.meshes import vertex_normals
 from gfp_grasp.register.evidence import estimate_normals, thin
@@ -51,13 +51,13 @@ def template_points(
     R, t = fit.T_world_object[:3, :3], fit.T_world_object[:3, 3]
     points, normals = (seen - t) @ R, normals @ R
     vertices = fit.primitive.shape(fit.coefficients, fit.scale)
-    surface = cKDTree(vertices)
+    surface = KDTree(vertices)
     if detection.cloud.viewpoint is None:
         normals = _outward(points, normals, vertices, surface, fit.primitive.faces)
     images = [TemplatePoints(points, normals, np.zeros(len(points), dtype=bool))]
     if symmetry:
         on_handle = fit.primitive.regions[surface.query(points)[1]] == HANDLE
-        images += _mirrored(points, normals, on_handle, fit, cKDTree(points), surface)
+        images += _mirrored(points, normals, on_handle, fit, KDTree(points), surface)
     return TemplatePoints(
         np.concatenate([i.points for i in images]),
         np.concatenate([i.normals for i in images]),
@@ -70,8 +70,8 @@ def _mirrored(
     normals: np.ndarray,
     on_handle: np.ndarray,
     fit: FittedPrimitive,
-    seen: cKDTree,
-    surface: cKDTree,
+    seen: KDTree,
+    surface: KDTree,
 ) -> list[TemplatePoints]:
     images = []
     for signs, takes_handle in _mirrors(fit):
@@ -100,12 +100,12 @@ def _mirrors(fit: FittedPrimitive) -> list[tuple[np.ndarray, bool]]:
     return []
 
 
-def _vertex_spacing(surface: cKDTree) -> float:
+def _vertex_spacing(surface: KDTree) -> float:
     return float(np.median(surface.query(surface.data, k=2)[0][:, 1]))
 
 
 def _outward(
-    points: np.ndarray, normals: np.ndarray, vertices: np.ndarray, surface: cKDTree, faces: np.ndarray
+    points: np.ndarray, normals: np.ndarray, vertices: np.ndarray, surface: KDTree, faces: np.ndarray
 ) -> np.ndarray:
     """Signs of normals from the fit, where no viewpoint tells them."""
     fitted = vertex_normals(vertices, faces)[surface.query(points)[1]]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from gfp_grasp.register.evidence import Evidence
 from gfp_grasp.register.surface import surface_samples
@@ -23,6 +23,6 @@ def handle_is_seen(fit: FittedPrimitive, evidence: Evidence) -> bool:
     on_handle = (region == HANDLE).all(axis=1)
     if not on_handle.any() or on_handle.all():
         return False
-    to_handle = cKDTree(world[on_handle]).query(evidence.points)[0]
-    to_body = cKDTree(world[~on_handle]).query(evidence.points)[0]
+    to_handle = KDTree(world[on_handle]).query(evidence.points)[0]
+    to_body = KDTree(world[~on_handle]).query(evidence.points)[0]
     return int(((to_handle < _ON_HANDLE_M) & (to_body > _OFF_BODY_M)).sum()) >= _HANDLE_POINTS

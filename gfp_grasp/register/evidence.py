@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import ndimage
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from gfp_grasp.errors import TooFewPoints
 from gfp_grasp.transforms import apply_T, invert_T, look_at
@@ -167,7 +167,7 @@ def estimate_normals(
 ) -> np.ndarray:
     """Unit normals (m, 3) of a cloud (n, 3) at some of its points (m, 3), towards the viewpoint where there is one."""
     count = min(num_neighbours, len(cloud))
-    neighbours = cloud[cKDTree(cloud).query(at, k=count)[1]]
+    neighbours = cloud[KDTree(cloud).query(at, k=count)[1]]
     centred = neighbours - neighbours.mean(axis=1, keepdims=True)
     _, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", centred, centred))
     normals = vectors[:, :, 0]
@@ -194,7 +194,7 @@ def _silhouette_of_points(points: np.ndarray, viewpoint: np.ndarray, up: np.ndar
     camera = apply_T(invert_T(T_world_camera), points)
     z = np.maximum(camera[:, 2], 1e-6)
     xy = camera[:, :2] / z[:, None]
-    spacing = np.median(cKDTree(xy).query(xy, k=2)[0][:, 1]) + 1e-9
+    spacing = np.median(KDTree(xy).query(xy, k=2)[0][:, 1]) + 1e-9
     low, high = xy.min(axis=0), xy.max(axis=0)
     focal = min(1.0 / (1.5 * spacing), 250.0 / max(float((high - low).max()), 1e-9))
     pad = 60
@@ -211,5 +211,6 @@ def _silhouette_of_points(points: np.ndarray, viewpoint: np.ndarray, up: np.ndar
 def _offset_to(mask: np.ndarray) -> np.ndarray:
     if not mask.any():
         return np.zeros((2, *mask.shape))
-    nearest = ndimage.distance_transform_edt(~mask, return_distances=False, return_indices=True)
+    nearest = np.empty((2, *mask.shape), dtype=np.int32)
+    ndimage.distance_transform_edt(~mask, return_distances=False, return_indices=True, indices=nearest)
     return (nearest - np.indices(mask.shape)).astype(np.float64)

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from gfp_grasp.errors import InvalidOption
@@ -258,8 +258,9 @@ def _correspond(evidence: Evidence, world: np.ndarray, normals: np.ndarray) -> t
     """Nearest sample (n,) of each point in position and normal, and whether the normals agree."""
     if len(world) == 0:
         return np.zeros(len(evidence.points), dtype=np.int64), np.zeros(len(evidence.points), dtype=bool)
-    tree = cKDTree(np.hstack([world, _NORMAL_LENGTH_M * normals]))
+    tree = KDTree(np.hstack([world, _NORMAL_LENGTH_M * normals]))
     distance, index = tree.query(np.hstack([evidence.points, _NORMAL_LENGTH_M * evidence.normals]))
+    index = np.asarray(index)
     if not evidence.oriented:
         other, flipped = tree.query(np.hstack([evidence.points, -_NORMAL_LENGTH_M * evidence.normals]))
         index = np.where(other < distance, flipped, index)

@@ -38,8 +38,8 @@ class PCRNet(nn.Module):
     def __init__(self) -> None:
         super().__init__()
         self.encode = mlp(3, 64, 64, 64, 128, 1024)
-        self.decode = nn.Sequential(mlp(2048, 1024, 512, 256), nn.Linear(256, 7))
-        last = self.decode[-1]
+        last = nn.Linear(256, 7)
+        self.decode = nn.Sequential(mlp(2048, 1024, 512, 256), last)
         nn.init.normal_(last.weight, std=1e-3)
         with torch.no_grad():
             last.bias.copy_(torch.tensor([1.0, 0, 0, 0, 0, 0, 0]))

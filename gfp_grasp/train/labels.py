@@ -12,7 +12,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from gfp_grasp.deform import SnakeConfig, TemplatePoints, evolve, template_points
 from gfp_grasp.errors import FitDiverged, TooFewPoints
@@ -89,7 +89,7 @@ def label_fit(fit: FittedPrimitive, truth_points: np.ndarray, truth_normals: np.
     for stage in _STAGES:
         moved = evolve(moved, fit.primitive.faces, truth_points, truth_normals, config=stage)
     normals = vertex_normals(moved, fit.primitive.faces)
-    distance, nearest = cKDTree(truth_points).query(moved, k=8)
+    distance, nearest = KDTree(truth_points).query(moved, k=8)
     agrees = np.einsum("vi,vki->vk", normals, truth_normals[nearest]) > 0.5
     return moved, float(np.where(agrees, distance, 2 * _MAX_RESIDUAL_M).min(axis=1).mean())
 
