@@ -197,7 +197,7 @@ def _torn_silhouettes(
 
 
 def _is_slope(depth: np.ndarray, edge_m: float) -> np.ndarray:
-    """(h, w) bool: one steep but even surface. The inverse depth of a plane is linear in the pixels, so it does not bend."""
+    """(h, w) bool: one steep but even surface: the inverse depth of a plane is linear in the pixels."""
     inverse = np.divide(1.0, depth, out=np.full_like(depth, np.nan), where=depth > 0)
     bend = np.maximum(_bend(inverse, 0), _bend(inverse, 1)) * depth**2
     return bend < edge_m / 2
