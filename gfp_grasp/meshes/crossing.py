@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 # Overlaps shorter than this share of the mesh's diagonal are touching, not crossing: it is far above the rounding of
@@ -36,7 +38,7 @@ def crossing_faces(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
 
 
-def _box_overlaps(corners: np.ndarray, faces: np.ndarray):
+def _box_overlaps(corners: np.ndarray, faces: np.ndarray) -> Iterator[np.ndarray]:
     """Batches (b, 2) of pairs whose boxes overlap and that share no vertex, each pair once."""
     low, high = corners.min(axis=1), corners.max(axis=1)
     first_cell, last_cell = _grid(low, high)

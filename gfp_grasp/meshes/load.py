@@ -101,6 +101,6 @@ def _parse(content: bytes, suffix: str) -> trimesh.Trimesh:
     loaded = trimesh.load_scene(io.BytesIO(content), file_type=suffix, process=False, **options)
     mesh = loaded.to_mesh()
     mesh = trimesh.Trimesh(np.array(mesh.vertices), np.array(mesh.faces), process=False, validate=False)
-    if len(mesh.faces) and 0 <= mesh.faces.min() and mesh.faces.max() < len(mesh.vertices):
+    if len(mesh.faces) and mesh.faces.min() >= 0 and mesh.faces.max() < len(mesh.vertices):
         mesh.merge_vertices()
     return mesh

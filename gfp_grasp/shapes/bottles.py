@@ -44,21 +44,41 @@ def make_bottle(rng: np.random.Generator) -> tuple[trimesh.Trimesh, str, float]:
     """One bottle: its mesh, its kind, and its wall in metres, which is zero for a closed one: that is a solid."""
     kind = str(rng.choice(list(_KINDS), p=list(_KINDS.values())))
     plan = _plan(rng, kind)
+    mesh, wall = _assembled(rng, kind, plan)
+    if kind not in ("cap_down", "open"):
+        _lean(rng, mesh, plan, kind)
+    return mesh, kind, wall
+
+
+def _assembled(rng: np.random.Generator, kind: str, plan: _Plan) -> tuple[trimesh.Trimesh, float]:
+    """The bottle, and its wall m."""
     body = _body(rng, plan)
     if kind == "cap_down":
-        return _cap_down(rng, plan, body), kind, 0.0
+        return _cap_down(rng, body), 0.0
     if kind in ("flip_top", "jar"):
-        return loft(np.concatenate([_foot(rng, body), body, caps.wide(rng, body[-1], jar=kind == "jar")])), kind, 0.0
+        return loft(np.concatenate([_foot(rng, body), body, caps.wide(rng, body[-1], jar=kind == "jar")])), 0.0
     plan = replace(plan, neck_half=min(plan.neck_half, 0.92 * float(body[-1, :2].min())))
     rising = np.concatenate([body, _shoulder(rng, plan, body[-1])])
     if kind == "open":
-        mesh, wall = _open(rng, plan, rising)
-        return mesh, kind, wall
+        return _open(rng, plan, rising)
     top, extras = caps.CAPS[kind](rng, plan.neck_half, float(rising[-1, 2]))
     mesh = loft(np.concatenate([_foot(rng, body), rising, top]))
     if kind == "jug":
         extras = [_jug_handle(rng, plan, rising)]
-    return (unite([mesh, *extras]) if extras else mesh), kind, 0.0
+    return (unite([mesh, *extras]) if extras else mesh), 0.0
+
+
+def _lean(rng: np.random.Generator, mesh: trimesh.Trimesh, plan: _Plan, kind: str) -> None:
+    """A slanted top, or a neck beside the middle: both slide the upper part along, so nothing can cross."""
+    vertices = np.array(mesh.vertices)
+    top = float(vertices[:, 2].max())
+    if kind == "flip_top" and rng.random() < 0.3:
+        share = smoothstep((vertices[:, 2] - 0.55 * top) / (0.4 * top))
+        vertices[:, 2] += rng.uniform(-0.35, 0.35) * share * vertices[:, 0]
+    elif kind in ("jug", "screw", "spray") and plan.aspect < 0.97 and rng.random() < 0.3:
+        share = smoothstep((vertices[:, 2] - 0.5 * plan.body) / (plan.neck - 0.5 * plan.body))
+        vertices[:, 0] += (-1 if kind == "jug" else rng.choice([-1, 1])) * rng.uniform(0.1, 0.4) * plan.half * share
+    mesh.vertices = vertices
 
 
 def _plan(rng: np.random.Generator, kind: str) -> _Plan:
@@ -96,7 +116,15 @@ def _body(rng: np.random.Generator, plan: _Plan) -> np.ndarray:
         curve = curve - rng.uniform(0.01, 0.03) * _grooves(rng, t)
     radius, height = plan.half * curve / curve.max(), t * plan.body
     aspect = plan.aspect * (1 + (plan.aspect < 0.97) * smooth_noise(rng, t, amplitude=0.03, knots=4))
-    aspect = np.clip(aspect, 0.4, 1.0)
+    if plan.aspect < 0.97 and rng.random() < 0.3:
+        # Pinched for the hand across one side only, as flat sauce bottles are.
+        place, spread = rng.uniform(0.4, 0.75), rng.uniform(0.08, 0.22)
+        pinch = rng.uniform(0.08, 0.3) * np.exp(-(((t - place) / spread) ** 2))
+        if rng.random() < 0.6:
+            radius, aspect = radius * (1 - pinch), aspect / (1 - pinch)
+        else:
+            aspect = aspect * (1 - pinch)
+    aspect = np.clip(aspect, 0.35, 1.0)
     edge = min(
         float(rng.choice([rng.uniform(0.001, 0.004), rng.uniform(0.004, 0.014)])), 0.4 * float((radius * aspect).min())
     )
@@ -163,7 +191,7 @@ def _open(rng: np.random.Generator, plan: _Plan, rising: np.ndarray) -> tuple[tr
     return loft(np.concatenate([foot, rising, tube, rim, inner, rows([1e-6], inner[-1:, 2])])), float(wall)
 
 
-def _cap_down(rng: np.random.Generator, plan: _Plan, body: np.ndarray) -> trimesh.Trimesh:
+def _cap_down(rng: np.random.Generator, body: np.ndarray) -> trimesh.Trimesh:
     """Standing on its wide cap, as ketchup and shower gel do: cap, body widening upwards, closed and rounded top."""
     cap = caps.standing(rng, body[-1])
     lift, top = cap[-1, 2], body[-1, 2]

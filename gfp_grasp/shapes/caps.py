@@ -8,7 +8,7 @@ import numpy as np
 import trimesh
 
 from gfp_grasp.shapes.curves import rounded
-from gfp_grasp.shapes.loft import loft, rows, sweep
+from gfp_grasp.shapes.loft import rows, sweep
 
 Top = tuple[np.ndarray, list[trimesh.Trimesh]]
 
@@ -63,7 +63,8 @@ def nozzle(rng: np.random.Generator, neck: float, base: float) -> Top:
     waist = rng.uniform(0.3, 0.7)
     corners = [
         [neck, 0], [neck, 0.001], [out, 0.0015], [out, collar], [step, collar + 0.002],
-        [tip + (step - tip) * rng.uniform(0.25, 0.75), collar + waist * cone], [tip, collar + cone], [1e-6, collar + cone],
+        [tip + (step - tip) * rng.uniform(0.25, 0.75), collar + waist * cone], [tip, collar + cone],
+        [1e-6, collar + cone],
     ]  # fmt: skip
     return _turned(corners, [0, 0, 0.0008, 0.002, 0.003, 0.02, 0.0015, 0], base), []
 

@@ -127,9 +127,10 @@ def _lidded(rng: np.random.Generator) -> trimesh.Trimesh:
     else:
         inner = brim * rng.uniform(0.78, 0.95)
         sunk = rng.uniform(0, 0.7) * rise if rng.random() < 0.7 else 0.0
+        crest = tall + band + rise
         corners = [
-            [top, tall], [brim, tall], [brim, tall + band], [inner, tall + band], [inner * 0.97, tall + band + rise],
-            [inner * 0.86, tall + band + rise], [inner * 0.82, tall + band + rise - sunk], [1e-6, tall + band + rise - sunk],
+            [top, tall], [brim, tall], [brim, tall + band], [inner, tall + band], [inner * 0.97, crest],
+            [inner * 0.86, crest], [inner * 0.82, crest - sunk], [1e-6, crest - sunk],
         ]  # fmt: skip
         lid = rounded(corners, [0, 0.001, 0.002, 0.001, 0.002, 0.001, 0.001, 0])
     rings = np.concatenate([rows([1e-6], [0.0]), rows(radius, height), rows(lid[:, 0], lid[:, 1])])

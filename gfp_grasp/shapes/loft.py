@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
+from gfp_grasp.shapes.curves import thinned
+
 # Profile points closer than this are one: rings that coincide would make faces without area.
 _COINCIDENT = 2e-5
 _PROFILE_TOLERANCE = 7e-5
@@ -85,15 +87,9 @@ def ring_faces(num_rings: int, segments: int) -> np.ndarray:
 def _thin(rings: np.ndarray) -> np.ndarray:
     distinct = np.linalg.norm(np.diff(rings[:, :3], axis=0), axis=1) > _COINCIDENT
     rings = rings[np.concatenate([[True], distinct])]
-    kept = thinned_rows(rings)
+    kept = rings[thinned(rings[:, :3], tolerance=_PROFILE_TOLERANCE, longest=_LONGEST_STEP)]
     middle = kept[(kept[:, 0] > 1e-4) & (kept[:, 1] > 1e-4)]
     return np.concatenate([rings[:1], middle, rings[-1:]])
-
-
-def thinned_rows(rings: np.ndarray) -> np.ndarray:
-    from gfp_grasp.shapes.curves import thinned
-
-    return rings[thinned(rings[:, :3], tolerance=_PROFILE_TOLERANCE, longest=_LONGEST_STEP)]
 
 
 def _angles(rings: np.ndarray, segments: int) -> np.ndarray:

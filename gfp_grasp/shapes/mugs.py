@@ -44,7 +44,7 @@ def _body(rng: np.random.Generator) -> Vessel:
 def _handle(rng: np.random.Generator, vessel: Vessel, kind: str) -> trimesh.Trimesh:
     """A tube whose ends reach well into the body."""
     tall = float(vessel.height[-1])
-    along = float(np.exp(rng.uniform(np.log(0.0022), np.log(0.0065))))
+    along = float(np.exp(rng.uniform(np.log(0.0024), np.log(0.0068))))
     across = float(np.clip(along * rng.uniform(0.9, 2.6), 0.0035, 0.011))
     span = np.clip(tall * rng.uniform(0.42, 0.78), 0.034 + 2 * along, tall - 4 * along - 0.006)
     low = rng.uniform(2 * along + 0.002, tall - span - 2 * along - 0.002)
@@ -56,7 +56,9 @@ def _handle(rng: np.random.Generator, vessel: Vessel, kind: str) -> trimesh.Trim
     return sweep(path, across * flare, along * (1 + 0.4 * (flare - 1)), power=rng.choice([2.0, 2.6, 4.0]), segments=24)
 
 
-def _path(rng, kind: str, vessel: Vessel, heights: np.ndarray, reach: float, along: float) -> np.ndarray:
+def _path(
+    rng: np.random.Generator, kind: str, vessel: Vessel, heights: np.ndarray, reach: float, along: float
+) -> np.ndarray:
     """Centre line (n, 3) m of the handle, from its lower to its upper end."""
     if kind == "square":
         corner = along + rng.uniform(0.003, 0.008)
@@ -74,13 +76,11 @@ def _path(rng, kind: str, vessel: Vessel, heights: np.ndarray, reach: float, alo
         if kind == "ear":
             out = out * (1 + rng.uniform(0.12, 0.38) * up) / 1.1
         plane = np.stack([reach * out, heights.mean() + up * (heights[1] - heights[0]) / 2], axis=1)
-    outer = np.interp(plane[:, 1], vessel.height, vessel.radius)
     chord = np.interp(plane[:, 1], heights, np.interp(heights, vessel.height, vessel.radius))
     # A body that bulges between the ends must leave the fingers their room.
     between = vessel.radius[(vessel.height > heights[0]) & (vessel.height < heights[1])]
     bulge = max(float((between - chord.min()).max()), 0.0) * 0.7
     x = chord + plane[:, 0] * (1 + bulge / reach)
-    del outer
     plane = np.stack([x, plane[:, 1]], axis=1)
     inward = np.array([[0.55 * chord.min(), 0.0]])
     plane = np.concatenate([plane[:1] * [0, 1] + inward, plane, plane[-1:] * [0, 1] + inward])

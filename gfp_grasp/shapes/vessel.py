@@ -49,7 +49,7 @@ class Vessel:
     def core(self, share: float) -> trimesh.Trimesh:
         """Closed solid whose side runs within the wall, `share` of it deep; a little higher than the rim."""
         inside = self._inside(self.wall * share)
-        top = inside[-1:] + [0, 0, 0.01, 0]
+        top = inside[-1:] + np.array([0, 0, 0.01, 0])
         bottom, cover = rows([1e-6], inside[:1, 2]), rows([1e-6], top[:, 2])
         return loft(np.concatenate([bottom, inside, top, cover]), flutes=self.flutes)
 
