@@ -1,8 +1,8 @@
 """A template's convex parts carried along with its deformation, and hulled again in milliseconds.
 
-Part vertices are bound to the template's surface once: CoACD cuts a surface without moving it, so that nearly all of them
-lie on it, and a point on a triangle goes where the triangle goes. One map moves all parts, so neighbours stay neighbours.
-Vertices of the template within a part are carried with it: where the deformed surface bulges, the part bulges too.
+Part vertices are bound to the template's surface once: CoACD cuts a surface without moving it, so that nearly all of
+them lie on it, and a point on a triangle goes where the triangle goes. One map moves all parts, so neighbours stay
+neighbours. Vertices of the template within a part are carried with it: where the surface bulges, the part bulges too.
 """
 
 from __future__ import annotations
@@ -24,7 +24,15 @@ _ON_SURFACE_M = 1e-6
 
 @dataclass(frozen=True, eq=False)
 class _Binding:
-    """Carried points p of all parts, bound to v vertices: weights (p, v), faces (p,) and their corners, heights (p,) m."""
+    """How the p carried points of all parts hang on v vertices.
+
+    Attributes:
+        weights: (p, v), rows sum to one: the foot of each point.
+        corners: (p, 3) vertices of the triangle below each.
+        height_m: (p,) above that triangle, along its normal.
+        edge_m: (p,) size of that triangle on the template.
+        ends: (parts,) where the points of each part end.
+    """
 
     weights: csr_matrix
     corners: np.ndarray
@@ -41,7 +49,8 @@ def carry_parts(primitive: GenericPrimitive, deformed_local: np.ndarray) -> tupl
 
     Args:
         primitive: With parts; its handle-less twin stands in where the vertices are the twin's.
-        deformed_local: (v, 3) m, where its vertices (or its twin's) have gone, in any frame: the parts come in the same.
+        deformed_local: (v, 3) m, where its vertices (or its twin's) have gone. Any frame will do, the world's too: the
+            parts come in the same.
 
     Returns:
         The parts that MuJoCo compiles, in the primitive's order.

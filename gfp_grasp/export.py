@@ -1,0 +1,212 @@
+"""Completed objects as files: meshes, MJCF in one file, URDF with a mesh a hull."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import trimesh
+
+from gfp_grasp.errors import InvalidMesh, InvalidOption
+from gfp_grasp.types import ConvexPart
+
+_MESH_SUFFIXES = (".obj", ".ply", ".stl", ".glb")
+SUFFIXES = (*_MESH_SUFFIXES, ".xml", ".urdf")
+
+Part = ConvexPart | trimesh.Trimesh
+
+
+@dataclass(frozen=True, eq=False)
+class MassProperties:
+    """Mass in kg, centre of mass (3,) m, and inertia (3, 3) kg m2 about that centre, all in the mesh's frame."""
+
+    mass_kg: float
+    centre: np.ndarray
+    inertia: np.ndarray
+
+
+def export_completion(
+    mesh: trimesh.Trimesh,
+    parts: Sequence[Part],
+    path: str | Path,
+    *,
+    name: str = "object",
+    density: float = 1000.0,
+    shell_thickness_m: float | None = None,
+    colors: np.ndarray | None = None,
+) -> Path:
+    """Write an object in the form that the suffix names.
+
+    `.obj`, `.ply`, `.stl` and `.glb` hold the mesh. `.xml` is MJCF in one file: the mesh to look at, every convex part
+    as a mesh of its own to collide with, explicit inertia, a free joint, floor and light, for MuJoCo's viewer to open.
+    `.urdf` names mesh files in the folder `<stem>_meshes` beside it: visual.obj and hull_000.obj onward.
+
+    Args:
+        mesh: Metres; watertight unless shell_thickness_m is given or only the mesh is written.
+        parts: Its convex parts in the same frame; only .xml and .urdf need them.
+        path: Where to; folders are made, files replaced.
+        name: Of the object, from letters, digits and _ . - only.
+        density: kg/m3 of the material.
+        shell_thickness_m: Take the mass from the surface times this thickness instead of the volume. Cups whose mesh
+            has an inside need none; closed bottles that are hollow do.
+        colors: (v, 3) or (v, 4) uint8 of the vertices, kept by .ply, .glb and .obj.
+
+    Returns:
+        The path.
+
+    Raises:
+        InvalidOption: Unknown suffix, illegal name, density, thickness or colors.
+        InvalidMesh: No parts where they are needed, or mass from a volume that is none.
+    """
+    path = Path(path)
+    writer = _writer(path)
+    if not re.fullmatch(r"[A-Za-z0-9_.-]+", name):
+        raise InvalidOption(f"name is {name!r}; letters, digits and _ . - are legal")
+    mesh = _colored(mesh, colors)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if writer is None:
+        mesh.export(path)
+        return path
+    if not parts:
+        raise InvalidMesh(
+            f"no convex parts came; {path.suffix} needs them: pass those of decompose or of the completion"
+        )
+    writer(mesh, parts, path, name, mass_properties(mesh, density=density, shell_thickness_m=shell_thickness_m))
+    return path
+
+
+def mass_properties(
+    mesh: trimesh.Trimesh, *, density: float = 1000.0, shell_thickness_m: float | None = None
+) -> MassProperties:
+    """Mass, centre and inertia of a solid, or of a shell of even thickness.
+
+    Args:
+        mesh: Metres; watertight and outward unless it is a shell.
+        density: kg/m3.
+        shell_thickness_m: Thickness of the shell, spread over the whole surface; None for a solid.
+
+    Raises:
+        InvalidOption: density or thickness is not a finite positive number.
+        InvalidMesh: A solid is asked for and the mesh encloses no volume.
+    """
+    _positive(density, "density")
+    if shell_thickness_m is not None:
+        _positive(shell_thickness_m, "shell_thickness_m")
+        return _of_shell(np.asarray(mesh.triangles), density * shell_thickness_m)
+    if not mesh.is_volume:
+        raise InvalidMesh("mesh is not watertight and outward, so that it has no volume: give shell_thickness_m")
+    solid = mesh.copy()
+    solid.density = density
+    found = solid.mass_properties
+    return MassProperties(float(found.mass), np.array(found.center_mass), np.array(found.inertia))
+
+
+def _writer(path: Path) -> Callable[[trimesh.Trimesh, Sequence[Part], Path, str, MassProperties], None] | None:
+    suffix = path.suffix.lower()
+    if suffix not in SUFFIXES:
+        raise InvalidOption(f"{path.name!r} ends in {suffix or 'no suffix'}; legal are {', '.join(SUFFIXES)}")
+    return {".xml": _write_mjcf, ".urdf": _write_urdf}.get(suffix)
+
+
+def _colored(mesh: trimesh.Trimesh, colors: np.ndarray | None) -> trimesh.Trimesh:
+    if colors is None:
+        return mesh
+    colors = np.asarray(colors)
+    if colors.dtype != np.uint8 or colors.shape not in ((len(mesh.vertices), 3), (len(mesh.vertices), 4)):
+        raise InvalidOption(
+            f"colors are {colors.dtype} of shape {colors.shape}; uint8 ({len(mesh.vertices)}, 3 or 4) is expected"
+        )
+    return trimesh.Trimesh(np.array(mesh.vertices), np.array(mesh.faces), vertex_colors=colors, process=False)
+
+
+def _positive(value: float, name: str) -> None:
+    if not np.isfinite(value) or value <= 0:
+        raise InvalidOption(f"{name} is {value!r}; a finite positive number is expected")
+
+
+def _of_shell(triangles: np.ndarray, density_kg_m2: float) -> MassProperties:
+    # The midpoints of the edges, weighted alike, integrate quadratics over a triangle exactly.
+    across = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    mass = np.repeat(np.linalg.norm(across, axis=1) / 2 * density_kg_m2 / 3, 3)
+    points = ((triangles + np.roll(triangles, 1, axis=1)) / 2).reshape(-1, 3)
+    centre = mass @ points / mass.sum()
+    arms = points - centre
+    second = np.einsum("n,ni,nj->ij", mass, arms, arms)
+    return MassProperties(float(mass.sum()), centre, np.trace(second) * np.eye(3) - second)
+
+
+def _write_mjcf(mesh: trimesh.Trimesh, parts: Sequence[Part], path: Path, name: str, weight: MassProperties) -> None:
+    root = ElementTree.Element("mujoco", model=name)
+    asset = ElementTree.SubElement(root, "asset")
+    world = ElementTree.SubElement(root, "worldbody")
+    lowest = min(float(shape.vertices[:, 2].min()) for shape in (mesh, *parts))
+    middle = mesh.bounds.mean(axis=0)
+    size = float(np.ptp(mesh.bounds, axis=0).max())
+    ElementTree.SubElement(
+        world, "light", pos=_text(middle + np.array([0, 0, 5 * size + 1])), dir="0 0 -1", type="directional"
+    )
+    # An infinite plane, just below: what was fitted to noise must not start inside of it.
+    ElementTree.SubElement(
+        world, "geom", name="floor", type="plane", size="0 0 0.05", pos=_text([0, 0, lowest]), rgba="0.8 0.8 0.82 1"
+    )
+    body = ElementTree.SubElement(world, "body", name=name)
+    ElementTree.SubElement(body, "freejoint", name=f"{name}_free")
+    inertia = weight.inertia
+    ElementTree.SubElement(
+        body,
+        "inertial",
+        pos=_text(weight.centre),
+        mass=_text([weight.mass_kg]),
+        fullinertia=_text([inertia[i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]),
+    )
+    # inertia="shell": MuJoCo would refuse to look at a mesh that is not closed.
+    visual = f"{name}_visual"
+    ElementTree.SubElement(
+        asset, "mesh", name=visual, vertex=_text(mesh.vertices), face=_text(mesh.faces), inertia="shell"
+    )
+    looks = {"contype": "0", "conaffinity": "0", "group": "2", "rgba": "0.55 0.65 0.8 1"}
+    ElementTree.SubElement(body, "geom", {"name": visual, "type": "mesh", "mesh": visual, "mass": "0", **looks})
+    for index, part in enumerate(parts):
+        hull = f"{name}_hull_{index:03d}"
+        ElementTree.SubElement(asset, "mesh", name=hull, vertex=_text(part.vertices), face=_text(part.faces))
+        ElementTree.SubElement(body, "geom", name=hull, type="mesh", mesh=hull, group="3", mass="0")
+    _write_xml(root, path)
+
+
+def _write_urdf(mesh: trimesh.Trimesh, parts: Sequence[Part], path: Path, name: str, weight: MassProperties) -> None:
+    folder = path.parent / f"{path.stem}_meshes"
+    folder.mkdir(exist_ok=True)
+    for stale in folder.glob("hull_[0-9][0-9][0-9].obj"):
+        stale.unlink()  # an earlier export may have had more hulls than this one
+    root = ElementTree.Element("robot", name=name)
+    # For MuJoCo's reader, which else looks for the files without their folder and drops the visual; others ignore it.
+    extension = ElementTree.SubElement(root, "mujoco")
+    ElementTree.SubElement(extension, "compiler", strippath="false", discardvisual="false")
+    link = ElementTree.SubElement(root, "link", name=name)
+    inertial = ElementTree.SubElement(link, "inertial")
+    ElementTree.SubElement(inertial, "origin", xyz=_text(weight.centre), rpy="0 0 0")
+    ElementTree.SubElement(inertial, "mass", value=_text([weight.mass_kg]))
+    entries = {f"i{'xyz'[i]}{'xyz'[j]}": _text([weight.inertia[i, j]]) for i in range(3) for j in range(i, 3)}
+    ElementTree.SubElement(inertial, "inertia", entries)
+    shapes = [("visual", "visual", mesh), *(("collision", f"hull_{i:03d}", part) for i, part in enumerate(parts))]
+    for role, stem, shape in shapes:
+        solid = trimesh.Trimesh(np.array(shape.vertices), np.array(shape.faces), process=False)
+        solid.export(folder / f"{stem}.obj", include_normals=False, header=None)
+        element = ElementTree.SubElement(link, role, name=stem)
+        ElementTree.SubElement(element, "origin", xyz="0 0 0", rpy="0 0 0")
+        geometry = ElementTree.SubElement(element, "geometry")
+        ElementTree.SubElement(geometry, "mesh", filename=f"{folder.name}/{stem}.obj")
+    _write_xml(root, path)
+
+
+def _write_xml(root: ElementTree.Element, path: Path) -> None:
+    ElementTree.indent(root)
+    ElementTree.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
+
+
+def _text(numbers: object) -> str:
+    return " ".join(f"{number:.9g}" for number in np.asarray(numbers).ravel())

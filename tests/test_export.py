@@ -1,0 +1,165 @@
+# MuJoCo's Python stubs leave out what its C module defines.
+# pyright: reportAttributeAccessIssue=false
+
+import xml.etree.ElementTree as ElementTree
+
+import mujoco
+import numpy as np
+import pytest
+import trimesh
+
+from gfp_grasp.errors import InvalidMesh, InvalidOption
+from gfp_grasp.export import SUFFIXES, export_completion, mass_properties
+from gfp_grasp.types import ConvexPart
+
+
+def cup() -> tuple[trimesh.Trimesh, list[ConvexPart]]:
+    """A square cup, 80 mm wide and 100 mm high with walls of 4 mm, made of five boxes; standing off the origin."""
+    offset = np.array([0.3, -0.2, 0.5])
+    outer = trimesh.creation.box(bounds=[[-0.04, -0.04, 0], [0.04, 0.04, 0.1]])
+    inner = trimesh.creation.box(bounds=[[-0.036, -0.036, 0.004], [0.036, 0.036, 0.2]])
+    mesh = trimesh.boolean.difference([outer, inner])
+    mesh.apply_translation(offset)
+    bounds = [
+        [[-0.04, -0.04, 0], [0.04, 0.04, 0.004]],
+        [[-0.04, -0.04, 0.004], [-0.036, 0.04, 0.1]],
+        [[0.036, -0.04, 0.004], [0.04, 0.04, 0.1]],
+        [[-0.036, -0.04, 0.004], [0.036, -0.036, 0.1]],
+        [[-0.036, 0.036, 0.004], [0.036, 0.04, 0.1]],
+    ]
+    boxes = [trimesh.creation.box(bounds=bound) for bound in bounds]
+    return mesh, [ConvexPart(box.vertices + offset, box.faces) for box in boxes]
+
+
+@pytest.mark.parametrize("suffix", [".obj", ".ply", ".stl", ".glb"])
+def test_mesh_files_come_back_with_the_same_volume_and_place(tmp_path, suffix):
+    mesh, parts = cup()
+    path = export_completion(mesh, parts, tmp_path / "new" / f"cup{suffix}")
+    back = trimesh.load_mesh(path)
+    back.merge_vertices()
+    assert back.is_volume
+    assert back.volume == pytest.approx(mesh.volume, rel=1e-5)
+    np.testing.assert_allclose(back.bounds, mesh.bounds, atol=1e-7)
+
+
+def test_colors_are_kept(tmp_path):
+    mesh, parts = cup()
+    colors = np.zeros((len(mesh.vertices), 4), np.uint8) + np.array([200, 30, 0, 255], np.uint8)
+    back = trimesh.load_mesh(export_completion(mesh, parts, tmp_path / "cup.ply", colors=colors))
+    kept = back.visual.vertex_colors  # pyright: ignore
+    np.testing.assert_array_equal(np.unique(kept, axis=0), [[200, 30, 0, 255]])
+
+
+def test_mjcf_compiles_with_mass_centre_and_inertia_of_the_walls(tmp_path):
+    mesh, parts = cup()
+    path = export_completion(mesh, parts, tmp_path / "my_cup.xml", name="cup", density=700.0)
+    model = mujoco.MjModel.from_xml_path(str(path))
+    assert model.nmesh == 1 + len(parts)
+    assert model.body_mass.sum() == pytest.approx(700 * mesh.volume, rel=1e-6)
+    body = model.body("cup")
+    np.testing.assert_allclose(body.ipos, mesh.center_mass, atol=1e-7)
+    expected = np.sort(np.linalg.eigvalsh(mesh.moment_inertia)) * 700
+    np.testing.assert_allclose(np.sort(body.inertia), expected, rtol=1e-5)
+
+
+def test_urdf_compiles_and_holds_mass_and_centre(tmp_path):
+    mesh, parts = cup()
+    path = export_completion(mesh, parts, tmp_path / "my_cup.urdf", density=700.0)
+    model = mujoco.MjModel.from_xml_path(str(path))
+    assert model.nmesh == 1 + len(parts)
+    assert model.ngeom == 1 + len(parts)
+    inertial = ElementTree.parse(path).getroot().find("link/inertial")
+    assert inertial is not None
+    mass, origin = inertial.find("mass"), inertial.find("origin")
+    assert mass is not None
+    assert origin is not None
+    assert float(mass.attrib["value"]) == pytest.approx(700 * mesh.volume)
+    np.testing.assert_allclose([float(x) for x in origin.attrib["xyz"].split()], mesh.center_mass, atol=1e-8)
+
+
+def test_mjcf_is_one_file_that_stands_on_its_floor_and_holds_a_marble(tmp_path):
+    mesh, parts = cup()
+    path = export_completion(mesh, parts, tmp_path / "cup.xml")
+    assert [file.name for file in tmp_path.iterdir()] == ["cup.xml"]
+    spec = mujoco.MjSpec.from_file(str(path))
+    marble = spec.worldbody.add_body(name="marble", pos=[0.3, -0.2, 0.56])
+    marble.add_freejoint()
+    marble.add_geom(type=mujoco.mjtGeom.mjGEOM_SPHERE, size=[0.01, 0, 0], density=2500)
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    for _ in range(500):
+        mujoco.mj_step(model, data)
+    assert data.body("object").xpos[2] == pytest.approx(0, abs=1e-3)
+    assert data.body("object").xmat[8] > 0.9999
+    assert data.body("marble").xpos[2] == pytest.approx(0.5 + 0.004 + 0.01, abs=1e-3)
+
+
+def test_hulls_collide_and_the_visual_does_not(tmp_path):
+    mesh, parts = cup()
+    model = mujoco.MjModel.from_xml_path(str(export_completion(mesh, parts, tmp_path / "a.xml", name="a")))
+    assert model.geom("a_visual").contype[0] == model.geom("a_visual").conaffinity[0] == 0
+    assert all(model.geom(f"a_hull_{i:03d}").contype[0] == 1 for i in range(len(parts)))
+
+
+def test_urdf_names_its_meshes_by_relative_paths_and_drops_those_of_an_earlier_export(tmp_path):
+    mesh, parts = cup()
+    export_completion(mesh, parts, tmp_path / "a.urdf")
+    path = export_completion(mesh, parts[:2], tmp_path / "a.urdf")
+    files = [element.attrib["filename"] for element in ElementTree.parse(path).iter("mesh")]
+    assert files == ["a_meshes/visual.obj", "a_meshes/hull_000.obj", "a_meshes/hull_001.obj"]
+    assert sorted(f"a_meshes/{file.name}" for file in (tmp_path / "a_meshes").iterdir()) == sorted(files)
+
+
+def test_mass_of_a_solid_box_is_known():
+    box = trimesh.creation.box((0.1, 0.2, 0.3))
+    box.apply_translation((1, 2, 3))
+    found = mass_properties(box, density=500.0)
+    assert found.mass_kg == pytest.approx(3.0)
+    np.testing.assert_allclose(found.centre, [1, 2, 3])
+    np.testing.assert_allclose(found.inertia, np.diag([0.04 + 0.09, 0.01 + 0.09, 0.01 + 0.04]) * 3 / 12, atol=1e-12)
+
+
+def test_mass_of_a_spherical_shell_is_known():
+    sphere = trimesh.creation.icosphere(subdivisions=4, radius=0.1)
+    found = mass_properties(sphere, density=2000.0, shell_thickness_m=0.002)
+    mass = 4 * np.pi * 0.1**2 * 0.002 * 2000
+    assert found.mass_kg == pytest.approx(mass, rel=5e-3)
+    np.testing.assert_allclose(found.inertia, np.eye(3) * 2 / 3 * mass * 0.1**2, rtol=1e-2, atol=1e-7)
+
+
+def test_unknown_suffix_is_refused_with_the_legal_ones(tmp_path):
+    mesh, parts = cup()
+    with pytest.raises(InvalidOption) as refusal:
+        export_completion(mesh, parts, tmp_path / "cup.dae")
+    assert all(suffix in str(refusal.value) for suffix in SUFFIXES)
+
+
+def test_an_open_mesh_needs_a_shell_thickness(tmp_path):
+    mesh, parts = cup()
+    mesh.update_faces(np.arange(len(mesh.faces)) > 0)
+    with pytest.raises(InvalidMesh, match="shell_thickness_m"):
+        export_completion(mesh, parts, tmp_path / "cup.xml")
+    path = export_completion(mesh, parts, tmp_path / "cup.xml", shell_thickness_m=0.002)
+    mujoco.MjModel.from_xml_path(str(path))
+
+
+@pytest.mark.parametrize(
+    ("options", "error"),
+    [
+        ({"name": "a/../b"}, InvalidOption),
+        ({"density": 0.0}, InvalidOption),
+        ({"density": float("nan")}, InvalidOption),
+        ({"shell_thickness_m": -1.0}, InvalidOption),
+        ({"colors": np.zeros((3, 3), np.uint8)}, InvalidOption),
+    ],
+)
+def test_illegal_options_are_refused(tmp_path, options, error):
+    mesh, parts = cup()
+    with pytest.raises(error):
+        export_completion(mesh, parts, tmp_path / "cup.xml", **options)
+
+
+def test_no_parts_are_refused_where_they_are_needed(tmp_path):
+    mesh, _ = cup()
+    with pytest.raises(InvalidMesh, match="parts"):
+        export_completion(mesh, (), tmp_path / "cup.urdf")
