@@ -22,6 +22,11 @@ POINTS = np.random.default_rng(0).uniform(-0.1, 0.1, (60, 3)).round(6)
 K = intrinsics(32, 24, 40.0)
 
 
+def points_of(capture: Capture) -> np.ndarray:
+    assert capture.points is not None
+    return capture.points
+
+
 def write(path: Path, points: np.ndarray) -> Path:
     """The same points in the file format that the suffix says."""
     rows = [" ".join(f"{c:.6f}" for c in p) for p in points]
