@@ -97,6 +97,6 @@ def _turned(points: np.ndarray, yaw_rad: float) -> np.ndarray:
 @cache
 def _load(device: str) -> tuple[CategoryNet, tuple[str, ...], float]:
     card = json.loads(data_file("weights", "classifier.json").read_text(encoding="utf-8"))
-    network = CategoryNet(len(card["classes"]), width=card["width"])
+    network = CategoryNet(len(card["data"]["classes"]), width=card["config"]["width"])
     network.load_state_dict(load_file(data_file("weights", "classifier.safetensors")))
-    return network.eval().to(device), tuple(card["classes"]), float(card["temperature"])
+    return network.eval().to(device), tuple(card["data"]["classes"]), float(card["metrics"]["temperature"])

@@ -8,7 +8,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 from sklearn.cluster import DBSCAN
 
 from gfp_grasp.detect.concavity import concavity
@@ -76,7 +76,7 @@ def label_picture(
     Returns:
         (h, w) int32 labels: 0 for background, 1 for the object with most pixels, and so on.
     """
-    valid = np.isfinite(points).all(axis=2)
+    valid = np.asarray(np.isfinite(points).all(axis=2))
     points = np.where(valid[:, :, None], points, 0.0)
     above = valid & (support.distances(points.reshape(-1, 3)).reshape(valid.shape) > config.floor_m)
     labels = np.zeros(valid.shape, dtype=np.int32)
@@ -89,9 +89,10 @@ def label_picture(
     if not above.any():
         return labels
     crease = concavity(points, above, depth, eye, focal_px, jump=_jump(depth, config)) > config.max_concavity
-    crease = ndimage.binary_dilation(crease, iterations=_CREASE_PX)
-    pieces = _connected_pixels(above & ~crease, depth, config)
-    pieces = _give_back(pieces, above, points)
+    crease = above & np.asarray(ndimage.binary_dilation(crease, iterations=_CREASE_PX))
+    pieces = _give_back(_connected_pixels(above & ~crease, depth, config), above, points)
+    rest = _connected_pixels(above & (pieces == 0), depth, config)  # wide creases, as round the floor of a cup
+    pieces = np.where(rest > 0, rest + pieces.max(), pieces)
     labels[rows, columns] = _objects(pieces, points, support, (depth / focal_px) ** 2, config)
     return labels
 
@@ -120,7 +121,7 @@ def label_points(points: np.ndarray, support: SupportPlane, *, config: ClusterCo
 
 def cluster_points(points: np.ndarray, gap_m: float) -> np.ndarray:
     """(n,) int32 clusters of (n, 3) points by DBSCAN, 0 for outliers; the gap grows where the points are sparse."""
-    spacing = float(np.median(cKDTree(points).query(points[:: -(-len(points) // 2000)], k=2)[0][:, 1]))
+    spacing = float(np.median(KDTree(points).query(points[:: -(-len(points) // 2000)], k=2)[0][:, 1]))
     found = DBSCAN(eps=max(gap_m, 3.0 * spacing), min_samples=_NEIGHBOURS).fit(points).labels_
     return (found + 1).astype(np.int32)
 
@@ -160,7 +161,7 @@ def _give_back(pieces: np.ndarray, above: np.ndarray, points: np.ndarray) -> np.
     """Pixels of creases and specks join the nearest piece in the picture, where that is near in space too."""
     if not pieces.any():
         return pieces
-    nearest = ndimage.distance_transform_edt(pieces == 0, return_distances=False, return_indices=True)
+    nearest = np.asarray(ndimage.distance_transform_edt(pieces == 0, return_distances=False, return_indices=True))
     there = points[nearest[0], nearest[1]]
     near = np.linalg.norm(points - there, axis=2) < 0.015
     return np.where(above & near, pieces[nearest[0], nearest[1]], pieces)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError, cKDTree
+from scipy.spatial import ConvexHull, KDTree, QhullError
 
 from gfp_grasp.detect.box import smallest_rectangle
 from gfp_grasp.transforms import rotation_between
@@ -23,6 +23,7 @@ class MergeConfig:
         within: Share of a piece's ground points inside the other's outline from which it is inside the other.
         rim_gap_m: The far inside of a rim begins this near behind the near outside.
         touching_m, crumb: A piece this near, whose surface is a smaller share than this of the other's, belongs to it.
+        cap: Largest share of surface that a cap or pump has of its bottle.
         compact: Length over width of the ground outline of one object in two pieces.
         same_top_m: Tops that agree to this are two sides of one rim.
         max_width_m: No merging into anything wider.
@@ -32,6 +33,7 @@ class MergeConfig:
     rim_gap_m: float = 0.06
     touching_m: float = 0.005
     crumb: float = 0.15
+    cap: float = 0.3
     compact: float = 1.4
     floats_m: float = 0.015
     on_top: float = 0.8
@@ -40,7 +42,7 @@ class MergeConfig:
     max_width_m: float = 0.3
 
 
-_NOISE_M, _RIM_M = 0.003, 0.01  # how far beyond an outline still counts as inside it
+_NOISE_M, _RIM_M, _CAP_M = 0.003, 0.01, 0.02  # how far beyond an outline still counts as inside it
 _SAMPLE = 1500  # points of a piece that distances are measured between
 
 
@@ -68,6 +70,7 @@ def merge_pieces(
     - it is near and floats (its lowest point is off the table, so something must hold it), and is either the
       smaller of the two or ends at the same height;
     - it touches the other and is a crumb beside it;
+    - it is on top of the other as a cap is: small, and the other taller than wide;
     - both end at the same height and make up one compact outline, as the two sides of a rim do, however far the
       far side's visible part begins behind the near one.
     The smallest piece chooses first, and the nearest wins.
@@ -100,15 +103,17 @@ def merge_pieces(
 def _belongs(piece: _Piece, other: _Piece, gap: float, config: MergeConfig) -> bool:
     if gap > config.rim_gap_m:
         return False
-    if piece.low > config.on_top * other.high or other.low > config.on_top * piece.high:
-        return False
     _, low, high = smallest_rectangle(np.vstack([piece.ground, other.ground]))
     length, width = high - low
     if length > config.max_width_m:
         return False
+    if piece.low > config.on_top * other.high or other.low > config.on_top * piece.high:
+        return gap < config.gap_m and (_caps(piece, other, config) or _caps(other, piece, config))
     same_top = abs(piece.high - other.high) < config.same_top_m
+    if same_top and length < config.compact * width:
+        return True
     if gap > config.gap_m:
-        return same_top and length < config.compact * width
+        return False
     margin_m = _RIM_M if same_top else _NOISE_M  # the outside of a wall lies a wall's thickness beyond its inside
     if _share_within(piece.ground, other.ground, margin_m) > config.within:
         return True
@@ -117,6 +122,13 @@ def _belongs(piece: _Piece, other: _Piece, gap: float, config: MergeConfig) -> b
     if piece.low < config.floats_m:
         return False
     return same_top or piece.area_m2 < 0.5 * other.area_m2
+
+
+def _caps(piece: _Piece, other: _Piece, config: MergeConfig) -> bool:
+    """Whether a piece on top is the other's cap or pump: small, on something taller than wide."""
+    tall = other.high > float(np.ptp(other.ground, axis=0).max())
+    small = piece.area_m2 < config.cap * other.area_m2
+    return tall and small and _share_within(piece.ground, other.ground, _CAP_M) > 0.5
 
 
 def _joined(a: _Piece, b: _Piece, support: SupportPlane) -> _Piece:
@@ -131,7 +143,7 @@ def _piece(points: np.ndarray, support: SupportPlane, area_m2: float) -> _Piece:
 
 
 def _gap(a: _Piece, b: _Piece) -> float:
-    return float(np.percentile(cKDTree(a.points).query(b.points)[0], 0.5))
+    return float(np.percentile(KDTree(a.points).query(b.points)[0], 0.5))
 
 
 def _share_within(ground: np.ndarray, outline: np.ndarray, margin_m: float) -> float:

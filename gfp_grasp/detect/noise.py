@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 LEAST_M, MOST_M = 0.0005, 0.006  # what depth cameras at arm's length show
 _NEIGHBOURS = 16
@@ -27,7 +27,7 @@ def estimate_sigma(points: np.ndarray, viewpoint: np.ndarray | None = None) -> f
     if len(points) < 2 * _NEIGHBOURS:
         return LEAST_M
     chosen = points[:: -(-len(points) // _SAMPLE)]
-    _, near = cKDTree(points).query(chosen, k=_NEIGHBOURS)
+    _, near = KDTree(points).query(chosen, k=_NEIGHBOURS)
     local = points[near] - points[near].mean(axis=1, keepdims=True)
     variance, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", local, local))
     residual = np.sqrt(variance[:, 0] / (_NEIGHBOURS - 3))  # three degrees of freedom go into the plane

@@ -6,7 +6,7 @@ import warnings
 from dataclasses import replace
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from gfp_grasp.camera import project
 from gfp_grasp.detect.clusters import cluster_points, label_points, voxel_grid
@@ -130,7 +130,7 @@ def _chosen_clusters(points: np.ndarray, labels: np.ndarray, config: DetectConfi
             f"the cloud holds {1 + len(others)} clusters, {width_m:.2f} m across together, and an object of a known "
             f"class is at most {config.max_width_m} m: pass one object's points, or the depth picture to complete_scene"
         )
-    tree = cKDTree(points[labels == first])
+    tree = KDTree(points[labels == first])
     near = [k for k in others if tree.query(_few(points[labels == k]))[0].min() < _NEAR_M]
     fate = "taken for one object behind an occluder" if near else "only the biggest is used"
     warnings.warn(f"the cloud holds {1 + len(others)} clusters; {len(near) + 1} of them: {fate}", stacklevel=4)
@@ -149,7 +149,7 @@ def _refuse_too_large(points: np.ndarray) -> None:
 def _without_flying(points: np.ndarray) -> np.ndarray:
     """Points whose surroundings are not much emptier than the object's: flying pixels hang in the air by themselves."""
     centres, cell_of = voxel_grid(points, _VOXEL_M)
-    crowd = cKDTree(centres).query_ball_point(centres, 4 * _VOXEL_M, return_length=True)
+    crowd = KDTree(centres).query_ball_point(centres, 4 * _VOXEL_M, return_length=True)
     dense = (crowd >= 0.2 * np.median(crowd))[cell_of]
     return points[dense] if dense.sum() >= MIN_POINTS else points
 
@@ -168,11 +168,12 @@ def _likely_up(points: np.ndarray, view: DepthImage | None) -> np.ndarray:
 
 def _pixels_of(points: np.ndarray, view: DepthImage) -> np.ndarray:
     """(h, w) bool, pixels of the view in which the points lie, at the depth that it saw."""
-    mask = np.zeros(view.depth_m.shape, dtype=bool)
+    height, width = view.depth_m.shape
+    mask = np.zeros((height, width), dtype=bool)
     pixels, depth = project(points, view.K, view.T_world_camera)
     seen = depth > 0
     columns, rows = np.round(pixels[seen]).astype(int).T
-    inside = (rows >= 0) & (rows < mask.shape[0]) & (columns >= 0) & (columns < mask.shape[1])
+    inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
     rows, columns, depth = rows[inside], columns[inside], depth[seen][inside]
     agrees = np.abs(view.depth_m[rows, columns] - depth) < 0.01
     mask[rows[agrees], columns[agrees]] = True

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError, cKDTree
+from scipy.spatial import ConvexHull, KDTree, QhullError
 from sklearn.exceptions import UndefinedMetricWarning
 from sklearn.linear_model import LinearRegression, RANSACRegressor
 
@@ -128,15 +128,17 @@ def _planes(sample: np.ndarray, up: np.ndarray, tilt_deg: float, config: Support
                 ransac.fit(fitted[:, :2], fitted[:, 2])
         except ValueError:  # no plane at all within the tilt
             return
-        slope, offset = ransac.estimator_.coef_, float(ransac.estimator_.intercept_)
-        inlier = np.abs(rest[:, 2] - rest[:, :2] @ slope - offset) < config.inlier_m
+        inlier = np.abs(rest[:, 2] - ransac.predict(rest[:, :2])) < config.inlier_m
         if inlier.sum() < min_inliers:
             return
-        refined = LinearRegression().fit(rest[inlier, :2], rest[inlier, 2])
-        normal = np.append(-refined.coef_, 1.0)
+        on = rest[inlier]
+        slope_x, slope_y, offset = np.linalg.lstsq(
+            np.column_stack([on[:, :2], np.ones(len(on))]), on[:, 2], rcond=None
+        )[0]
+        normal = np.array([-slope_x, -slope_y, 1.0])
         length = float(np.linalg.norm(normal))
-        if np.hypot(*refined.coef_) < max_slope:
-            yield SupportPlane(R.T @ normal / length, float(refined.intercept_) / length)
+        if np.hypot(slope_x, slope_y) < max_slope:
+            yield SupportPlane(R.T @ normal / length, float(offset) / length)
         rest = rest[~inlier]
 
 
@@ -173,7 +175,7 @@ def _share_facing_along(normal: np.ndarray, sample: np.ndarray, on: np.ndarray) 
     """Share of the plane's points whose own neighbourhood faces along its normal: a slab cut out of a body does not."""
     chosen = np.flatnonzero(on)
     chosen = chosen[:: -(-len(chosen) // _NUM_NORMALS)]
-    _, near = cKDTree(sample).query(sample[chosen], k=_NORMAL_NEIGHBOURS)
+    _, near = KDTree(sample).query(sample[chosen], k=_NORMAL_NEIGHBOURS)
     local = sample[near] - sample[near].mean(axis=1, keepdims=True)
     _, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", local, local))
     return float((np.abs(axes[:, :, 0] @ normal) > np.cos(np.radians(25.0))).mean())
@@ -189,4 +191,4 @@ def _outline(ground: np.ndarray) -> ConvexHull | None:
 
 
 def _within(outline: ConvexHull, ground: np.ndarray, *, margin_m: float) -> np.ndarray:
-    return (ground @ outline.equations[:, :2].T + outline.equations[:, 2] <= margin_m).all(axis=1)
+    return np.all(ground @ outline.equations[:, :2].T + outline.equations[:, 2] <= margin_m, axis=1)

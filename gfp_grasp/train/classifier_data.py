@@ -119,7 +119,7 @@ def _foreign_mesh(rng: np.random.Generator) -> trimesh.Trimesh:
         case _:  # two boxes, one against the other
             other = trimesh.creation.box(rng.uniform(0.03, 0.15, 3))
             other.apply_translation(rng.uniform(-0.08, 0.08, 3))
-            return trimesh.util.concatenate([trimesh.creation.box(size), other])
+            return trimesh.creation.box(size) + other
 
 
 def _revolve(rng: np.random.Generator, *, radius_m: float, height_m: float) -> trimesh.Trimesh:

@@ -1,0 +1,150 @@
+"""How well objects are found and named: `python -m gfp_grasp.bench.detection --json results/detection.json`.
+
+Segmentation on the labelled Kinect table tops and category on the RealSense captures, where they are at hand (the
+environment variable GFP_GRASP_DATA names their folder); category on views of the procedural test split always.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import time
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.table import Table
+
+from gfp_grasp.camera import view_from_points
+from gfp_grasp.detect import classify, detect_objects
+from gfp_grasp.shapes import FAMILIES
+from gfp_grasp.train.classifier_data import CACHE, Example, family_examples, foreign_examples
+from gfp_grasp.types import DepthImage, Detection, SupportPlane
+
+MATCH_IOU = 0.7
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def measure(data: Path | None, *, cache: Path = CACHE, num_views: int = 4, workers: int = 1) -> dict[str, object]:
+    """All figures, as they are written to JSON.
+
+    Args:
+        data: Folder with captures/, or None.
+        cache: Folder of rendered views.
+        num_views: Of each shape of the test split.
+        workers: Processes that render.
+    """
+    figures: dict[str, object] = {"match_iou": MATCH_IOU, "machine": f"{platform.machine()}, {os.cpu_count()} cores"}
+    if data is not None:
+        figures["tables"] = {path.stem: match_table(path) for path in sorted(data.glob("captures/table_*.npz"))}
+        figures["captures"] = {path.stem: name_capture(path) for path in _single_captures(data)}
+    figures["procedural_test"] = name_views(family_examples("test", num_views=num_views, workers=workers, folder=cache))
+    outside = foreign_examples(150, seed=1, workers=workers, folder=cache)
+    figures["foreign_mean_top_score"] = round(float(np.mean([max(_scores(e).values()) for e in outside])), 3)
+    return figures
+
+
+def match_table(path: Path) -> dict[str, object]:
+    """Intersection over union, in pixels, of each labelled object with the best detection."""
+    with np.load(path) as capture:
+        view, label = view_from_points(capture["points_cam"]), capture["label"]
+    start = time.perf_counter()
+    found = detect_objects(view, up=None)
+    seconds = time.perf_counter() - start
+    ious = [best_iou(label == k, found) for k in np.unique(label[label > 0])]
+    matched = sum(iou >= MATCH_IOU for iou in ious)
+    return {
+        "objects": len(ious),
+        "matched": matched,
+        "iou": [round(iou, 3) for iou in ious],
+        "detections": len(found),
+        "seconds": round(seconds, 2),
+    }
+
+
+def best_iou(mask: np.ndarray, found: tuple[Detection, ...]) -> float:
+    """Largest intersection over union of a mask (h, w) with a detection's."""
+    return max((float((mask & d.mask).sum() / (mask | d.mask).sum()) for d in found if d.mask is not None), default=0.0)
+
+
+def name_capture(path: Path) -> dict[str, object]:
+    """Category of the biggest object of a picture whose up is unknown."""
+    with np.load(path) as capture:
+        view = DepthImage(capture["depth_m"], capture["K"], np.eye(4))
+    found = detect_objects(view, up=None)
+    return {
+        "detections": len(found),
+        "category": found[0].category,
+        "scores": {name: round(score, 3) for name, score in found[0].scores.items()},
+    }
+
+
+def name_views(examples: list[Example]) -> dict[str, object]:
+    """Accuracy and confusion; a mug whose handle is not seen may be called a cup, and no other way round."""
+    confusion = np.zeros((len(FAMILIES), len(FAMILIES)), dtype=int)
+    hidden = np.zeros(len(FAMILIES), dtype=int)
+    right = []
+    for example in examples:
+        scores = _scores(example)
+        named = max(scores, key=lambda name: scores[name])
+        right.append(named in example.answers)
+        if len(example.answers) == 1:
+            confusion[FAMILIES.index(example.category), FAMILIES.index(named)] += 1
+        else:
+            hidden[FAMILIES.index(named)] += 1
+    return {
+        "views": len(right),
+        "accuracy": round(float(np.mean(right)), 4),
+        "confusion_rows_true": {family: confusion[k].tolist() for k, family in enumerate(FAMILIES)},
+        "mug_without_seen_handle": hidden.tolist(),
+        "columns_named": list(FAMILIES),
+    }
+
+
+def _scores(example: Example) -> dict[str, float]:
+    return classify(example.points[example.points[:, 2] > 0.006], UP, SupportPlane(UP, 0.0))
+
+
+def _single_captures(data: Path) -> list[Path]:
+    return [path for path in sorted(data.glob("captures/*.npz")) if not path.stem.startswith("table_")]
+
+
+def _show(figures: dict, console: Console) -> None:
+    table = Table("table top", "objects", "matched", "IoU", "s", title=f"Segmentation, IoU >= {MATCH_IOU}")
+    for name, row in figures.get("tables", {}).items():
+        ious = " ".join(f"{iou:.2f}" for iou in row["iou"])
+        table.add_row(name, str(row["objects"]), str(row["matched"]), ious, f"{row['seconds']:.2f}")
+    console.print(table)
+    for name, row in figures.get("captures", {}).items():
+        console.print(f"{name}: {row['category']} {row['scores']}")
+    named = figures["procedural_test"]
+    table = Table("true \\ named", *FAMILIES, title=f"Category, {named['views']} views: {named['accuracy']:.3f}")
+    for family, row in named["confusion_rows_true"].items():
+        table.add_row(family, *map(str, row))
+    table.add_row("mug, no handle seen", *map(str, named["mug_without_seen_handle"]))
+    console.print(table)
+    console.print(f"mean top score of things of no class: {figures['foreign_mean_top_score']}")
+
+
+def main() -> None:
+    """The command line."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--json", type=Path, help="file that the figures are written to")
+    parser.add_argument("--cache", type=Path, default=CACHE)
+    parser.add_argument("--views", type=int, default=4)
+    parser.add_argument("--workers", type=int, default=1)
+    options = parser.parse_args()
+    folder = os.environ.get("GFP_GRASP_DATA")
+    figures = measure(
+        Path(folder) if folder else None, cache=options.cache, num_views=options.views, workers=options.workers
+    )
+    _show(figures, Console())
+    if options.json:
+        options.json.parent.mkdir(parents=True, exist_ok=True)
+        options.json.write_text(json.dumps(figures, indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()
