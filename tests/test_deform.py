@@ -1,0 +1,157 @@
+import numpy as np
+import pytest
+import torch
+import trimesh
+from toy_primitive import random_cup, see, toy_cup_primitive
+
+from gfp_grasp.deform import DeformConfig, SnakeConfig, deform, evolve, template_points
+from gfp_grasp.deform.gfpnet import PaperNet, PatchNet, make_network
+from gfp_grasp.deform.patches import NUM_SOURCE, NUM_TEMPLATE, blend, make_patches
+from gfp_grasp.deform.settle import damp_until_solid, diffuse
+from gfp_grasp.errors import InvalidOption
+from gfp_grasp.meshes import crossing_faces, sample_surface
+from gfp_grasp.register import FitConfig, fit_primitive
+
+
+@pytest.fixture(scope="module")
+def fitted():
+    truth, detection = see(random_cup(np.random.default_rng(3)), 1)
+    return fit_primitive(detection, toy_cup_primitive(), config=FitConfig(start="box")), detection, truth
+
+
+def test_snake_draws_a_sphere_onto_a_larger_one():
+    sphere = trimesh.creation.icosphere(subdivisions=3, radius=0.05)
+    points, normals, _ = sample_surface(
+        trimesh.creation.icosphere(subdivisions=5, radius=0.054), 20000, np.random.default_rng(0)
+    )
+    moved = evolve(sphere.vertices, sphere.faces, points, normals, config=SnakeConfig(steps=30))
+    assert np.linalg.norm(moved, axis=1) == pytest.approx(np.full(len(moved), 0.054), abs=3e-4)
+
+
+def test_snake_does_not_pull_a_wall_to_the_other_side_of_it():
+    """A plate 2 mm thick; points only on its top, 0.5 mm above: the bottom must not follow to the top."""
+    plate = trimesh.creation.box((0.06, 0.06, 0.002)).subdivide_to_size(0.004)
+    xy = np.random.default_rng(0).uniform(-0.03, 0.03, (4000, 2))
+    points = np.column_stack([xy, np.full(4000, 0.0015)])
+    normals = np.tile([0.0, 0.0, 1.0], (4000, 1))
+    moved = evolve(plate.vertices, plate.faces, points, normals, config=SnakeConfig(steps=10, elastic=0.0, bending=0.0))
+    middle = np.abs(plate.vertices[:, :2]).max(axis=1) < 0.02
+    top, bottom = middle & (plate.vertices[:, 2] > 0), middle & (plate.vertices[:, 2] < 0)
+    assert moved[top, 2] == pytest.approx(np.full(top.sum(), 0.0015), abs=1e-4)
+    assert moved[bottom, 2] == pytest.approx(np.full(bottom.sum(), -0.001), abs=1e-9)
+
+
+def test_nothing_observed_moves_nothing():
+    sphere = trimesh.creation.icosphere(subdivisions=2)
+    assert np.array_equal(evolve(sphere.vertices, sphere.faces, np.zeros((0, 3)), np.zeros((0, 3))), sphere.vertices)
+
+
+def test_symmetry_carries_points_to_the_hidden_side_and_marks_them(fitted):
+    fit, detection, truth = fitted
+    template = template_points(fit, detection)
+    plain = template_points(fit, detection, symmetry=False)
+    assert not plain.carried.any()
+    assert len(plain.points) == (~template.carried).sum()
+    assert template.carried.sum() > 100
+    world = template.points[template.carried] @ fit.T_world_object[:3, :3].T + fit.T_world_object[:3, 3]
+    # The cup is round, so its mirror image is itself: carried points lie on the true surface.
+    _, distance, _ = trimesh.proximity.closest_point(truth, world[::5])
+    assert np.median(distance) < 0.002
+
+
+def test_patches_cover_every_vertex_and_hold_what_they_promise(fitted):
+    fit, detection, _ = fitted
+    primitive = fit.primitive
+    vertices = primitive.shape(fit.coefficients, fit.scale)
+    patches = make_patches(primitive, vertices, template_points(fit, detection))
+    assert patches.source.shape[1:] == (NUM_SOURCE, 3)
+    assert patches.template.shape[1:] == (NUM_TEMPLATE, 3)
+    assert np.linalg.det(patches.frames) == pytest.approx(np.ones(len(patches.frames)))
+    # One displacement for all comes back as itself wherever a patch reaches.
+    step = np.array([0.001, -0.002, 0.003])
+    moved = np.broadcast_to(np.einsum("bij,i->bj", patches.frames, step)[:, None] / 0.03, patches.source.shape)
+    displacement, weight = blend(patches, moved, len(vertices))
+    assert displacement[weight > 1e-6] == pytest.approx(np.tile(step, ((weight > 1e-6).sum(), 1)), abs=1e-12)
+
+
+def test_default_network_is_equivariant_to_the_order_of_source_points():
+    torch.manual_seed(0)
+    network = PatchNet().eval()
+    torch.nn.init.normal_(network.decode[-1].weight)
+    s, sn, t, tn, c = (
+        torch.randn(2, 64, 3),
+        torch.randn(2, 64, 3),
+        torch.randn(2, 64, 3),
+        torch.randn(2, 64, 3),
+        torch.zeros(2, 64),
+    )
+    order = torch.randperm(64)
+    offset, sigma = network(s, sn, t, tn, c)
+    permuted, permuted_sigma = network(s[:, order], sn[:, order], t, tn, c)
+    assert torch.allclose(permuted, offset[:, order], atol=1e-5)
+    assert torch.allclose(permuted_sigma, sigma[:, order], atol=1e-5)
+
+
+def test_paper_network_answers_with_a_set_that_forgets_the_order_of_its_source():
+    torch.manual_seed(0)
+    network = PaperNet().eval()
+    s, t = torch.randn(2, 64, 3), torch.randn(2, 64, 3)
+    order = torch.randperm(64)
+    assert torch.allclose(network(s[:, order], t), network(s, t), atol=1e-5)
+    assert network(s, t, iterations=1).shape == s.shape
+
+
+def test_paper_networks_have_the_papers_layers():
+    def widths(branch):
+        return [layer.out_features for layer in branch if isinstance(layer, torch.nn.Linear)]
+
+    iterative, oneshot = make_network("paper-iterative"), make_network("paper-oneshot")
+    assert widths(iterative.source) == widths(iterative.template) == [64, 128, 1024]
+    assert widths(oneshot.source) == [64, 128, 512, 1024]
+    assert widths(iterative.decode) == [1024, 512, 256, 64 * 3]
+    assert iterative.iterations == 5
+
+
+def test_damping_leaves_no_fold_and_no_crossing():
+    cup = random_cup(np.random.default_rng(1))
+    rng = np.random.default_rng(0)
+    wild = rng.normal(0, 0.01, cup.vertices.shape)
+    assert len(crossing_faces(cup.vertices + wild, cup.faces)) > 0
+    moved, kept = damp_until_solid(np.asarray(cup.vertices), np.asarray(cup.faces), wild)
+    assert len(crossing_faces(moved, cup.faces)) == 0
+    assert 0 <= kept < 1
+
+
+def test_gentle_displacement_is_kept_whole():
+    cup = random_cup(np.random.default_rng(1))
+    gentle = np.tile([0.001, 0.0, 0.0], (len(cup.vertices), 1))
+    moved, kept = damp_until_solid(np.asarray(cup.vertices), np.asarray(cup.faces), gentle)
+    assert kept == 1.0
+    assert np.allclose(moved - cup.vertices, gentle)
+
+
+def test_diffusion_fills_small_gaps_and_dies_out_far_from_what_is_sure():
+    primitive = toy_cup_primitive()
+    wished = np.tile([0.002, 0.0, 0.0], (len(primitive.vertices), 1))
+    gaps = (np.random.default_rng(0).random(len(wished)) > 0.2).astype(float)
+    assert diffuse(primitive, wished * gaps[:, None], gaps)[:, 0] == pytest.approx(
+        np.full(len(wished), 0.002), abs=2e-4
+    )
+    rim = (primitive.vertices[:, 2] > 0.9 * primitive.vertices[:, 2].max()).astype(float)
+    spread = diffuse(primitive, wished * rim[:, None], rim)[:, 0]
+    assert spread[rim > 0].min() > 0.0015
+    assert np.abs(spread[primitive.vertices[:, 2] < 0.003]).max() < 0.0005
+
+
+def test_contour_stays_a_solid_and_near_the_fit(fitted):
+    fit, detection, _ = fitted
+    deformed = deform(fit, detection, config=DeformConfig(method="gfs"))
+    mesh = trimesh.Trimesh(deformed.vertices, fit.primitive.faces, process=False)
+    assert mesh.is_volume
+    assert len(crossing_faces(deformed.vertices, fit.primitive.faces)) == 0
+    assert np.linalg.norm(deformed.vertices - fit.vertices_world(), axis=1).max() < 0.01
+
+
+def test_unknown_method_is_refused_with_the_legal_ones():
+    with pytest.raises(InvalidOption, match="gfpnet-paper"):
+        DeformConfig(method="magic")  # type: ignore[arg-type]
