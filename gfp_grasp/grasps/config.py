@@ -1,6 +1,6 @@
 """What the planner allows and how it ranks."""
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.grasps.gripper import Gripper
@@ -42,15 +42,15 @@ class GraspConfig:
     side_preference: float = 0.9
     balance_length_m: float = 0.06
     doubt_length_m: float = 0.010
-    gripper: Gripper = Gripper()
+    gripper: Gripper = field(default_factory=Gripper)
 
     def __post_init__(self) -> None:
-        for field in fields(self):
-            value = getattr(self, field.name)
-            if field.name in ("gripper", "max_climb", "table_clearance_m", "min_clearance_m"):
+        for knob in fields(self):
+            value = getattr(self, knob.name)
+            if knob.name in ("gripper", "max_climb", "table_clearance_m", "min_clearance_m"):
                 continue
             if not value > 0:
-                raise InvalidOption(f"GraspConfig.{field.name} is {value}; a positive number is expected")
+                raise InvalidOption(f"GraspConfig.{knob.name} is {value}; a positive number is expected")
         if not 0 <= self.min_clearance_m < self.gripper.stroke_m / 2:
             raise InvalidOption(
                 f"GraspConfig.min_clearance_m is {self.min_clearance_m}; 0 to half the stroke is expected"

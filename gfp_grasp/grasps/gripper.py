@@ -36,15 +36,15 @@ class Gripper:
     """
 
     stroke_m: float = 0.080
-    pad: Box = Box((0.0, 0.004, 0.0), (0.010, 0.004, 0.010))
+    pad: Box = Box((0.0, 0.003, 0.0), (0.010, 0.003, 0.012))
     jaw: tuple[Box, ...] = (
-        Box((0.0, 0.004, 0.0), (0.010, 0.004, 0.010)),
-        Box((0.0, 0.010, -0.02), (0.010, 0.006, 0.030)),
+        Box((0.0, 0.003, 0.0), (0.010, 0.003, 0.012)),
+        Box((0.0, 0.010, -0.0215), (0.010, 0.004, 0.0335)),
     )
-    body: tuple[Box, ...] = (Box((0.0, 0.0, -0.07), (0.020, 0.062, 0.020)),)
+    body: tuple[Box, ...] = (Box((0.0, 0.0, -0.085), (0.030, 0.062, 0.030)),)
 
     def solids(self, opening_m: np.ndarray) -> np.ndarray:
-        """All boxes at an opening: (p,) m between the faces of the pads -> (p, b, 2, 3) m, lowest and highest corners."""
+        """Lowest and highest corners (p, b, 2, 3) m of all boxes, for openings (p,) m between the faces of the pads."""
         half = np.asarray(opening_m, dtype=np.float64)[:, None, None, None] / 2.0
         jaw = np.stack([box.low_high for box in self.jaw])
         mirrored = np.stack([jaw[:, 0], jaw[:, 1]], axis=1)

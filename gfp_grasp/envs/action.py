@@ -1,0 +1,89 @@
+"""A grasp as a vector between -1 and 1, and back."""
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from gfp_grasp.errors import InvalidAction, InvalidOption
+from gfp_grasp.transforms import make_T
+from gfp_grasp.types import Grasp
+
+NUM_ACTION = 10
+# Actions come as float32, whose rounding may leave the box by this much.
+_ROUNDING = 1e-5
+# Shorter than this, a column has no direction.
+_SHORT = 1e-4
+
+
+@dataclass(frozen=True)
+class ActionCode:
+    """The map between grasps and actions.
+
+    | entries | meaning | at -1 | at +1 |
+    |---|---|---|---|
+    | 0:3 | position x, y, z of the gripper's origin, m | centre - half | centre + half |
+    | 3:6 | approach direction (gripper's z), world frame, any length | | |
+    | 6:9 | closing axis (gripper's y), world frame, any length; made square to the approach | | |
+    | 9 | opening of the jaws before they close, m | 0 | max_width |
+
+    An approach shorter than 1e-4 means straight down; a closing axis that is too short or along the approach means any
+    level one, so that every vector of the box is a grasp.
+
+    Attributes:
+        centre_m: Centre of the workspace box, world frame.
+        half_m: Its half extents.
+        max_width_m: Opening at +1; wider than the gripper's stroke, so that an unreachable width can be asked for.
+    """
+
+    centre_m: tuple[float, float, float] = (0.0, 0.0, 0.2)
+    half_m: tuple[float, float, float] = (0.4, 0.4, 0.3)
+    max_width_m: float = 0.12
+
+    def __post_init__(self) -> None:
+        if not (min(self.half_m) > 0 and self.max_width_m > 0):
+            raise InvalidOption(
+                f"ActionCode has half_m {self.half_m} and max_width_m {self.max_width_m}; give positive"
+            )
+
+    def encode(self, grasp: Grasp) -> np.ndarray:
+        """Action (10,) float32 of a grasp.
+
+        Raises:
+            InvalidAction: The grasp is outside of the workspace box or wider than max_width_m.
+        """
+        T = grasp.T_world_gripper
+        position = (T[:3, 3] - self.centre_m) / self.half_m
+        width = 2.0 * grasp.width_m / self.max_width_m - 1.0
+        action = np.concatenate([position, T[:3, 2], T[:3, 1], [width]])
+        if not (np.abs(action) <= 1.0 + _ROUNDING).all():
+            raise InvalidAction(
+                f"grasp at {T[:3, 3].round(3).tolist()} m, width {grasp.width_m} m, is outside of the workspace "
+                f"{self.centre_m} +- {self.half_m} m, 0 to {self.max_width_m} m"
+            )
+        return np.clip(action, -1.0, 1.0).astype(np.float32)
+
+    def decode(self, action: np.ndarray) -> Grasp:
+        """Grasp of an action (10,).
+
+        Raises:
+            InvalidAction: Wrong shape, not finite, or outside of -1 to 1.
+        """
+        vector = np.asarray(action, dtype=np.float64)
+        if vector.shape != (NUM_ACTION,):
+            raise InvalidAction(f"action has shape {vector.shape}; ({NUM_ACTION},) is expected")
+        if not np.isfinite(vector).all():
+            raise InvalidAction(f"action has {np.sum(~np.isfinite(vector))} entries that are not finite")
+        if np.abs(vector).max() > 1.0 + _ROUNDING:
+            raise InvalidAction(f"action reaches {np.abs(vector).max():.3g}; every entry must lie between -1 and 1")
+        vector = np.clip(vector, -1.0, 1.0)
+        z = _unit(vector[3:6], np.array([0.0, 0.0, -1.0]))
+        level = np.cross(z, np.eye(3)[int(np.argmin(np.abs(z)))])
+        y = _unit(vector[6:9] - (vector[6:9] @ z) * z, level / np.linalg.norm(level))
+        R = np.column_stack([np.cross(y, z), y, z])
+        width = (vector[9] + 1.0) / 2.0 * self.max_width_m
+        return Grasp(make_T(R, vector[:3] * self.half_m + self.centre_m), float(width))
+
+
+def _unit(vector: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
+    length = np.linalg.norm(vector)
+    return vector / length if length > _SHORT else otherwise

@@ -1,0 +1,90 @@
+"""Options of the environment."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+from gfp_grasp.camera import SensorModel
+from gfp_grasp.errors import InvalidOption
+
+WORLDS = ("true", "completed")
+SENSORS = ("ideal", "gaussian", "realsense", "kinect")
+RENDER_MODES = (None, "rgb_array")
+
+
+@dataclass(frozen=True)
+class EnvConfig:
+    """Keyword arguments of `GfpGraspEnv`; only str, int, float, bool and None, so that a spec goes through JSON.
+
+    Attributes:
+        objects: Family (or families, "cup,mug"), mesh file, or folder of meshes.
+        completer: Name, see `gfp_grasp.completers.completer`.
+        world: "true" simulates the true object, "completed" the completion's convex parts in its place.
+        split: Which seeds of a family: train, val or test.
+        limit: Use the first so many objects; 0 uses all.
+        num_points: Rows of both clouds in the observation.
+        image_width: Columns of the depth picture.
+        image_height: Rows.
+        fov_deg: Vertical field of view.
+        distance_m: From the camera to the object.
+        elevation_min_deg: Lowest view above the horizon.
+        elevation_max_deg: Highest.
+        sensor: "ideal", "gaussian", "realsense" or "kinect".
+        noise_m: Standard deviation of "gaussian".
+        spread_m: The object stands within this of the table's centre, along x and along y.
+        render_mode: None or "rgb_array".
+    """
+
+    objects: str = "cup,mug,bottle"
+    completer: str = "gfpnet"
+    world: str = "true"
+    split: str = "test"
+    limit: int = 0
+    num_points: int = 2048
+    image_width: int = 320
+    image_height: int = 240
+    fov_deg: float = 35.0
+    distance_m: float = 0.6
+    elevation_min_deg: float = 20.0
+    elevation_max_deg: float = 60.0
+    sensor: str = "gaussian"
+    noise_m: float = 0.001
+    spread_m: float = 0.05
+    render_mode: str | None = None
+
+    def __post_init__(self) -> None:
+        for name, legal in (("world", WORLDS), ("sensor", SENSORS), ("render_mode", RENDER_MODES)):
+            if getattr(self, name) not in legal:
+                raise InvalidOption(f"{name} is {getattr(self, name)!r}; legal are {', '.join(map(repr, legal))}")
+        for name in ("num_points", "image_width", "image_height", "fov_deg", "distance_m"):
+            if not getattr(self, name) > 0:
+                raise InvalidOption(f"{name} is {getattr(self, name)}; a positive number is expected")
+        for name in ("limit", "noise_m", "spread_m"):
+            if not getattr(self, name) >= 0:
+                raise InvalidOption(f"{name} is {getattr(self, name)}; zero or more is expected")
+        if not -90 < self.elevation_min_deg <= self.elevation_max_deg < 90:
+            raise InvalidOption(
+                f"elevations {self.elevation_min_deg} to {self.elevation_max_deg} degrees; -90 < min <= max < 90 is expected"
+            )
+
+    @classmethod
+    def of(cls, options: dict[str, object]) -> EnvConfig:
+        """From keyword arguments.
+
+        Raises:
+            InvalidOption: One is unknown or has a value that is not legal; the message lists what is.
+        """
+        legal = [field.name for field in fields(cls)]
+        unknown = sorted(set(options) - set(legal))
+        if unknown:
+            raise InvalidOption(f"unknown option {', '.join(map(repr, unknown))}; legal are {', '.join(legal)}")
+        return cls(**options)  # pyright: ignore[reportArgumentType]
+
+    @property
+    def sensor_model(self) -> SensorModel:
+        """The sensor by its name."""
+        if self.sensor == "gaussian":
+            return SensorModel.gaussian(self.noise_m)
+        return {"ideal": SensorModel.ideal, "realsense": SensorModel.realsense, "kinect": SensorModel.kinect}[
+            self.sensor
+        ]()

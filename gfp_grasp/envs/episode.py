@@ -1,0 +1,122 @@
+"""What an episode starts from: an object at rest, one depth view of it, and its completion."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass
+
+import numpy as np
+
+from gfp_grasp.camera import apply_sensor, intrinsics, render_depth, sample_viewpoint
+from gfp_grasp.complete import Completion
+from gfp_grasp.completers import Completer, Oracle
+from gfp_grasp.detect import detect_objects
+from gfp_grasp.envs.config import EnvConfig
+from gfp_grasp.envs.world import World
+from gfp_grasp.errors import GfpGraspError, NothingDetected
+from gfp_grasp.transforms import apply_T, make_T, rotation_about
+from gfp_grasp.types import CollisionMesh, ConvexPart, DepthImage, Detection, TrueObject
+
+_UP = np.array([0.0, 0.0, 1.0])
+# The camera looks at this share of the object's height.
+_LOOK_AT = 0.4
+
+
+@dataclass(frozen=True, eq=False)
+class Episode:
+    """One scene as it was drawn, seen and completed.
+
+    Attributes:
+        truth: The object.
+        T_world_object: Where it came to rest.
+        image: The depth picture, with the sensor's noise.
+        detection: What was found in it; None where nothing was.
+        completion: The completed object; None where detection or completion failed.
+        failure: Name and message of the error that ended detection or completion; empty where none did.
+        notes: Warnings given on the way.
+    """
+
+    truth: TrueObject
+    T_world_object: np.ndarray
+    image: DepthImage
+    detection: Detection | None
+    completion: Completion | None
+    failure: str = ""
+    notes: str = ""
+
+
+def draw_episode(
+    truth: TrueObject,
+    world: World,
+    complete: Completer | Oracle,
+    config: EnvConfig,
+    rng: np.random.Generator,
+    *,
+    given: Completion | None = None,
+) -> Episode:
+    """Put the object down at random, look at it from a random side, and complete it.
+
+    Args:
+        truth: The object.
+        world: Its compiled scene, which is left settled.
+        complete: The completer.
+        config: Camera and placing.
+        rng: Draws yaw, place, view and noise, in this order.
+        given: A completion to use in place of the completer's.
+    """
+    yaw = rotation_about(_UP, rng.uniform(0, 2 * np.pi))
+    place = np.array([*rng.uniform(-config.spread_m, config.spread_m, 2), 5e-4])
+    world.settle(make_T(yaw, place))
+    target = world.T_world_object[:3, 3] + (0.0, 0.0, _LOOK_AT * float(truth.mesh.bounds[1, 2]))
+    image = _look(world, target, config, rng)
+    if given is not None:
+        return Episode(truth, world.T_world_object, image, given.detection, given)
+    detection, completion, failure = None, None, ""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        try:
+            detection = _largest(detect_objects(image, up=_UP))
+            completion = _complete(complete, detection, truth, world.T_world_object)
+        except GfpGraspError as error:
+            failure = f"{type(error).__name__}: {error}"
+    notes = "; ".join(str(warning.message) for warning in caught if issubclass(warning.category, UserWarning))
+    return Episode(truth, world.T_world_object, image, detection, completion, failure, notes)
+
+
+def _look(world: World, target: np.ndarray, config: EnvConfig, rng: np.random.Generator) -> DepthImage:
+    T_world_camera = sample_viewpoint(
+        rng,
+        elevation_deg=(config.elevation_min_deg, config.elevation_max_deg),
+        distance_m=config.distance_m,
+        target=target,
+    )
+    K = intrinsics(config.image_width, config.image_height, config.fov_deg)
+    # Rays, not OpenGL, so that one seed gives one picture on every machine.
+    depth, _ = render_depth(
+        world.model,
+        world.data,
+        K=K,
+        width=config.image_width,
+        height=config.image_height,
+        T_world_camera=T_world_camera,
+        backend="rays",
+    )
+    return apply_sensor(DepthImage(depth, K, T_world_camera), config.sensor_model, rng)
+
+
+def _largest(detections: tuple[Detection, ...]) -> Detection:
+    if not detections:
+        raise NothingDetected("nothing stands out from the table in this view")
+    return max(detections, key=lambda detection: len(detection.cloud.points))
+
+
+def _complete(
+    complete: Completer | Oracle, detection: Detection, truth: TrueObject, T_world_object: np.ndarray
+) -> Completion:
+    if not isinstance(complete, Oracle):
+        return complete(detection)
+    mesh = truth.mesh.copy()
+    mesh.apply_transform(T_world_object)
+    known = truth.collision
+    parts = tuple(ConvexPart(apply_T(T_world_object, part.vertices), part.faces) for part in known.parts)
+    return complete(detection, mesh, CollisionMesh(parts, known.error_m, known.made_by, known.seconds, known.notes))

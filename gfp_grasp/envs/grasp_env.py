@@ -1,0 +1,188 @@
+"""The gymnasium environment `GfpGrasp-v0`."""
+
+from __future__ import annotations
+
+from collections import OrderedDict
+from typing import Any, ClassVar
+
+import gymnasium
+import numpy as np
+from gymnasium import spaces
+from gymnasium.utils import EzPickle
+
+from gfp_grasp.complete import Completion
+from gfp_grasp.completers import completer
+from gfp_grasp.envs.action import NUM_ACTION, ActionCode
+from gfp_grasp.envs.config import EnvConfig
+from gfp_grasp.envs.episode import Episode, draw_episode
+from gfp_grasp.envs.observation import Observation, observation_space, observe
+from gfp_grasp.envs.picture import shade
+from gfp_grasp.envs.settings import TrialSettings
+from gfp_grasp.envs.trial import run_trial
+from gfp_grasp.envs.world import TARGET, World
+from gfp_grasp.errors import InvalidOption
+from gfp_grasp.scenes import load_objects
+from gfp_grasp.types import Outcome, TrueObject
+
+# Compiled scenes are kept for this many objects; a mug is about a megabyte.
+_KEPT_WORLDS = 64
+_RESET_OPTIONS = ("object", "completion")
+
+
+class GfpGraspEnv(gymnasium.Env[Observation, np.ndarray], EzPickle):
+    """One object on a table, one depth view of it, one grasp.
+
+    An episode is one step: the action is a grasp, which is approached, closed, lifted and shaken
+    (`gfp_grasp.envs.settings.TrialSettings` has every number of it). The reward is 1 where the object is held to the
+    end and 0 elsewhere; `terminated` is always True. Stepping again without a reset tries another grasp on the same
+    scene.
+
+    Action, `Box(-1, 1, (10,), float32)`; world frame, z up, the table's top at z = 0:
+
+    | entries | meaning | at -1 | at +1 |
+    |---|---|---|---|
+    | 0:3 | position of the gripper's origin (midway between its pads), m | (-0.4, -0.4, -0.1) | (0.4, 0.4, 0.5) |
+    | 3:6 | approach direction (gripper's z), any length; shorter than 1e-4: straight down | | |
+    | 6:9 | closing axis (gripper's y), any length; made square to the approach | | |
+    | 9 | opening of the jaws before they close, m; more than 0.08 is `unreachable_width` | 0 | 0.12 |
+
+    `env.unwrapped.action_code` encodes and decodes `gfp_grasp.types.Grasp`.
+
+    Observation:
+
+    | key | shape, type | meaning |
+    |---|---|---|
+    | observed | (num_points, 3) float32 | points on the object that the camera saw, m, padded with zeros |
+    | observed_mask | (num_points,) int8 | 1 where `observed` has a point |
+    | completed | (num_points, 3) float32 | samples of the completed surface, m; zeros where completion failed |
+    | depth | (image_height, image_width) float32 | the depth picture, m; 0 where nothing came back |
+
+    Info has the same keys after reset and step: `is_success`, `reason` (one of `gfp_grasp.types.REASONS`; "" before an
+    attempt), `lift_m`, `slip_m`, `object`, `category`, `mass_kg`, `friction`, `completer`, `world`,
+    `completion_failed`, `completion_error`, `completion_notes`, `num_observed`.
+
+    Options of the constructor are those of `gfp_grasp.envs.config.EnvConfig`. Options of reset: `object` (number of
+    the object, instead of a random one) and `completion` (to be used instead of the completer's).
+
+    Raises:
+        InvalidOption: An option that is unknown or not legal; the message lists what is.
+        InvalidAction: An action that is not a finite vector of the action space.
+    """
+
+    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 1}
+
+    def __init__(self, **options: object) -> None:
+        EzPickle.__init__(self, **options)
+        self.config = EnvConfig.of(options)
+        self.render_mode = self.config.render_mode
+        self.action_code = ActionCode()
+        self.settings = TrialSettings()
+        self.action_space = spaces.Box(-1.0, 1.0, (NUM_ACTION,), np.float32)
+        self.observation_space = observation_space(self.config)
+        self.sources = load_objects(self.config.objects, self.config.split, self.config.limit or None)
+        self._complete = completer(self.config.completer)
+        self._truths: OrderedDict[int, tuple[TrueObject, World]] = OrderedDict()
+        self._episode: Episode | None = None
+        self._observation: Observation | None = None
+        self._world: World | None = None
+
+    @property
+    def episode(self) -> Episode:
+        """The scene of the current episode, with its detection and completion.
+
+        Raises:
+            gymnasium.error.ResetNeeded: Before the first reset.
+        """
+        if self._episode is None:
+            raise gymnasium.error.ResetNeeded("reset the environment first: there is no episode yet")
+        return self._episode
+
+    @property
+    def completion(self) -> Completion | None:
+        """The completed object of the current episode; None where completion failed."""
+        return self.episode.completion
+
+    def reset(
+        self, *, seed: int | None = None, options: dict[str, Any] | None = None
+    ) -> tuple[Observation, dict[str, Any]]:
+        """Draw an object, its place and a view; detect and complete it."""
+        super().reset(seed=seed)
+        options = options or {}
+        unknown = sorted(set(options) - set(_RESET_OPTIONS))
+        if unknown:
+            raise InvalidOption(f"unknown reset option {unknown}; legal are {', '.join(_RESET_OPTIONS)}")
+        drawn = int(self.np_random.integers(len(self.sources)))
+        number = options.get("object", drawn)
+        if number not in range(len(self.sources)):
+            raise InvalidOption(f"there is no object {number!r}; there are 0 to {len(self.sources) - 1}")
+        truth, world = self._true_world(number)
+        given = options.get("completion")
+        self._episode = draw_episode(truth, world, self._complete, self.config, self.np_random, given=given)
+        self._world = self._world_of(self._episode, world)
+        self._observation = observe(self._episode, self.config, self.np_random)
+        return self._observation, self._info(None)
+
+    def step(self, action: np.ndarray) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
+        """Attempt one grasp."""
+        grasp = self.action_code.decode(action)
+        if self._observation is None:
+            raise gymnasium.error.ResetNeeded("reset the environment before its first step")
+        if self._world is None:
+            outcome = Outcome(False, "no_grasp_found", 0.0, 0.0, self.settings.as_dict())
+        else:
+            self._world.restore()
+            outcome = run_trial(self._world.model, self._world.data, grasp, self.settings, target=TARGET)
+        return self._observation, float(outcome.success), True, False, self._info(outcome)
+
+    def render(self) -> np.ndarray | None:  # pyright: ignore[reportIncompatibleMethodOverride]
+        """Picture (240, 320, 3) uint8 of the scene as it stands, shaded by ray casting."""
+        if self.render_mode is None:
+            gymnasium.logger.warn('render was called without a render_mode: make the environment with "rgb_array"')
+            return None
+        if self._world is None:  # not reset yet, or nothing to simulate
+            return np.zeros((240, 320, 3), dtype=np.uint8)
+        return shade(self._world.model, self._world.data)
+
+    def close(self) -> None:
+        """Let go of the compiled scenes."""
+        self._truths.clear()
+        self._world = self._episode = self._observation = None
+
+    def _true_world(self, number: int) -> tuple[TrueObject, World]:
+        if number not in self._truths:
+            truth = self.sources[number].load()
+            self._truths[number] = (truth, World.of_truth(truth))
+            if len(self._truths) > _KEPT_WORLDS:
+                self._truths.popitem(last=False)
+        self._truths.move_to_end(number)
+        return self._truths[number]
+
+    def _world_of(self, episode: Episode, true_world: World) -> World | None:
+        """The world that attempts run in; None where it cannot be, for want of a completion."""
+        if self.config.world == "true":
+            return true_world
+        if episode.completion is None:
+            return None
+        parts = episode.completion.collision.parts
+        world = World.of_parts(parts, episode.truth.mass_kg, episode.truth.friction)
+        world.settle()
+        return world
+
+    def _info(self, outcome: Outcome | None) -> dict[str, Any]:
+        episode = self.episode
+        return {
+            "is_success": bool(outcome and outcome.success),
+            "reason": outcome.reason if outcome else "",
+            "lift_m": outcome.lift_m if outcome else 0.0,
+            "slip_m": outcome.slip_m if outcome else 0.0,
+            "object": episode.truth.name,
+            "category": episode.truth.category,
+            "mass_kg": episode.truth.mass_kg,
+            "friction": episode.truth.friction,
+            "completer": self.config.completer,
+            "world": self.config.world,
+            "completion_failed": episode.completion is None,
+            "completion_error": episode.failure,
+            "completion_notes": episode.notes,
+            "num_observed": 0 if episode.detection is None else len(episode.detection.cloud.points),
+        }

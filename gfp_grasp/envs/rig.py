@@ -1,0 +1,130 @@
+"""Handles on the gripper and the object inside of a compiled scene."""
+
+# MuJoCo's names come from compiled modules, into which the type checker does not see.
+# pyright: reportAttributeAccessIssue=false
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mujoco
+import numpy as np
+
+from gfp_grasp.errors import InvalidScene
+from gfp_grasp.scenes.gripper import ACTUATOR, BODY, MOCAP, PADS, SQUEEZE, STROKE_M, place_gripper
+from gfp_grasp.transforms import make_T
+from gfp_grasp.types import Grasp
+
+_WARNINGS = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
+
+
+@dataclass(frozen=True, eq=False)
+class Rig:
+    """A gripper, an object, and the state that they are in.
+
+    Attributes:
+        model: The scene.
+        data: Its state, which moves on.
+        target: Body id of the object.
+        gripper: Body id of the gripper.
+        mocap: Index of the mocap body that it hangs on.
+        servo: Actuator id of the jaws.
+        is_gripper: (ngeom,) bool, geoms of the gripper.
+        is_pad: (ngeom,) bool, its pads.
+        is_target: (ngeom,) bool, geoms of the object.
+    """
+
+    model: mujoco.MjModel
+    data: mujoco.MjData
+    target: int
+    gripper: int
+    mocap: int
+    servo: int
+    is_gripper: np.ndarray
+    is_pad: np.ndarray
+    is_target: np.ndarray
+
+    @classmethod
+    def of(cls, model: mujoco.MjModel, data: mujoco.MjData, target: str) -> Rig:
+        """Find the gripper of sim_scenes/gripper.xml and a body by name.
+
+        Raises:
+            InvalidScene: The scene has no gripper, or no such body.
+        """
+        bodies = {name: mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name) for name in (BODY, MOCAP, target)}
+        missing = [name for name, number in bodies.items() if number < 0]
+        if missing:
+            raise InvalidScene(
+                f"the scene has no body {', '.join(missing)}: build it with gripper=True and the object in it"
+            )
+        is_pad = np.zeros(model.ngeom, dtype=bool)
+        is_pad[[model.geom(name).id for name in PADS]] = True
+        return cls(
+            model=model,
+            data=data,
+            target=bodies[target],
+            gripper=bodies[BODY],
+            mocap=int(model.body_mocapid[bodies[MOCAP]]),
+            servo=model.actuator(ACTUATOR).id,
+            is_gripper=model.body_rootid[model.geom_bodyid] == bodies[BODY],
+            is_pad=is_pad,
+            is_target=model.geom_bodyid == bodies[target],
+        )
+
+    @property
+    def T_world_gripper(self) -> np.ndarray:
+        """(4, 4) of the gripper as it is, which lags behind its commands."""
+        return self._pose(self.gripper)
+
+    @property
+    def T_world_target(self) -> np.ndarray:
+        """(4, 4) of the object."""
+        return self._pose(self.target)
+
+    def reaches(self, grasp: Grasp) -> bool:
+        """Whether the jaws open as wide as the grasp asks for."""
+        return grasp.width_m <= STROKE_M + 1e-6
+
+    def place(self, T_world_gripper: np.ndarray, opening_m: float) -> None:
+        """Put the gripper somewhere at once, at rest and open."""
+        place_gripper(self.model, self.data, T_world_gripper, opening_m)
+
+    def command(self, position: np.ndarray, quat_wxyz: np.ndarray) -> None:
+        """Where the gripper is to go: (3,) m and a unit quaternion (4,)."""
+        self.data.mocap_pos[self.mocap] = position
+        self.data.mocap_quat[self.mocap] = quat_wxyz
+
+    def set_force_limit(self, grip_n: float) -> None:
+        """Largest force of each jaw."""
+        self.model.actuator_forcerange[self.servo] = (-grip_n, grip_n)
+
+    def set_opening(self, opening_m: float) -> None:
+        """Opening that the jaws are to take; nothing can keep them from pressing where it is below zero."""
+        self.data.ctrl[self.servo] = max(opening_m, SQUEEZE)
+
+    def largest_force_n(self) -> float:
+        """Largest normal force between the gripper and anything else."""
+        pairs = self.data.contact.geom
+        foreign = np.flatnonzero(self.is_gripper[pairs[:, 0]] != self.is_gripper[pairs[:, 1]])
+        force, largest = np.zeros(6), 0.0
+        for contact in foreign:
+            mujoco.mj_contactForce(self.model, self.data, int(contact), force)
+            largest = max(largest, float(force[0]))
+        return largest
+
+    def touching_pads(self) -> int:
+        """How many of the two pads touch the object."""
+        pairs = self.data.contact.geom
+        other = np.where(self.is_target[pairs[:, 0]], pairs[:, 1], pairs[:, 0])
+        of_target = self.is_target[pairs].any(axis=1)
+        return len(np.unique(other[of_target & self.is_pad[other]]))
+
+    def is_unstable(self, too_fast_mps: float) -> bool:
+        """Whether the state is not finite, MuJoCo has warned of it, or the object is faster than anything sound."""
+        if any(self.data.warning[int(warning)].number for warning in _WARNINGS):
+            return True
+        finite = np.isfinite(self.data.qpos).all() and np.isfinite(self.data.qvel).all()
+        return not finite or bool(np.linalg.norm(self.data.cvel[self.target, 3:]) > too_fast_mps)
+
+    def _pose(self, body: int) -> np.ndarray:
+        return make_T(self.data.xmat[body].reshape(3, 3), self.data.xpos[body])

@@ -1,0 +1,72 @@
+"""What one attempt goes through, in numbers."""
+
+from dataclasses import asdict, dataclass, fields
+
+from gfp_grasp.errors import InvalidOption
+
+
+@dataclass(frozen=True)
+class TrialSettings:
+    """One attempt, step by step; every outcome carries these numbers.
+
+    1. Approach: from standoff_m behind the grasp, along its z, in approach_s. A contact force above touch_n on anything,
+       or an object pushed by push_m, is `collided_on_approach`.
+    2. Close: the jaws close by grip_ramp_mps, then press until close_s is over, each with grip_n at most. Not both
+       pads on the object: `no_contact`.
+    3. Lift by lift_m straight up in lift_s, then hold for hold_s.
+    4. Shake: shake_cycles of a sinusoid of shake_m along the world's x and then y at shake_hz, then the same number
+       of turns by shake_deg about each of these axes.
+
+    From the end of closing on, the object's point that was at the gripper's origin may leave it by slip_m and the
+    object may turn in the gripper by slip_deg; more, or losing both pads, is `slipped_on_lift` or `slipped_on_shake`.
+    A state that is not finite, a warning of the solver or a speed above too_fast_mps is `unstable`.
+
+    Attributes:
+        standoff_m: Length of the approach.
+        approach_s: Its duration.
+        touch_n: Contact force that counts as a collision.
+        push_m: Displacement of the object that counts as one.
+        close_s: Time for the jaws to close and settle.
+        grip_ramp_mps: Speed of the opening while they close.
+        grip_n: Force limit of each jaw.
+        lift_m: Height of the lift.
+        lift_s: Its duration.
+        hold_s: Rest after it.
+        shake_m: Amplitude of the shaking sinusoid.
+        shake_deg: Amplitude of the shaking rotation.
+        shake_hz: Frequency of both.
+        shake_cycles: Cycles of each of the four shakes.
+        slip_m: Limit of slip.
+        slip_deg: Limit of turning.
+        too_fast_mps: Speed that no object reaches in a sound simulation.
+        control_s: Time between two commands and checks.
+    """
+
+    standoff_m: float = 0.10
+    approach_s: float = 0.6
+    touch_n: float = 1.0
+    push_m: float = 0.003
+    close_s: float = 0.8
+    grip_ramp_mps: float = 0.2
+    grip_n: float = 30.0
+    lift_m: float = 0.2
+    lift_s: float = 0.8
+    hold_s: float = 0.4
+    shake_m: float = 0.02
+    shake_deg: float = 15.0
+    shake_hz: float = 3.0
+    shake_cycles: int = 2
+    slip_m: float = 0.010
+    slip_deg: float = 10.0
+    too_fast_mps: float = 20.0
+    control_s: float = 0.01
+
+    def __post_init__(self) -> None:
+        for field in fields(self):
+            value = getattr(self, field.name)
+            if not value > 0 or value == float("inf"):
+                raise InvalidOption(f"TrialSettings.{field.name} is {value}; a positive finite number is expected")
+
+    def as_dict(self) -> dict[str, float]:
+        """For an Outcome and for result files."""
+        return asdict(self)

@@ -1,0 +1,187 @@
+"""One grasp attempt in the simulator: approach, close, lift, shake."""
+
+# MuJoCo's names come from compiled modules, into which the type checker does not see.
+# pyright: reportAttributeAccessIssue=false
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import mujoco
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from gfp_grasp.envs.rig import Rig
+from gfp_grasp.envs.settings import TrialSettings
+from gfp_grasp.transforms import invert_T, make_T, rotation_about
+from gfp_grasp.types import Grasp, Outcome
+
+_UP = np.array([0.0, 0.0, 1.0])
+_SHAKE_AXES = (np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]))
+
+
+def run_trial(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    grasp: Grasp,
+    settings: TrialSettings | None = None,
+    *,
+    target: str = "object",
+    on_step: Callable[[mujoco.MjData], None] | None = None,
+) -> Outcome:
+    """Attempt a grasp on an object that has come to rest; `TrialSettings` tells the steps.
+
+    Args:
+        model: Scene with the gripper of sim_scenes/gripper.xml.
+        data: Its state, which is moved on.
+        grasp: World frame.
+        settings: Numbers of the attempt.
+        target: Name of the body to be grasped.
+        on_step: Called after every command, e.g. to film.
+
+    Returns:
+        What happened; success means held to the end.
+    """
+    settings = settings or TrialSettings()
+    attempt = _Attempt(Rig.of(model, data, target), grasp, settings, on_step)
+    reason = attempt.run()
+    return Outcome(reason == "held", reason, attempt.lift_m(), attempt.largest_slip_m, settings.as_dict())
+
+
+class _Attempt:
+    """The state of one attempt: where the gripper should be and what the object did."""
+
+    def __init__(
+        self, rig: Rig, grasp: Grasp, settings: TrialSettings, on_step: Callable[[mujoco.MjData], None] | None
+    ) -> None:
+        self.rig, self.grasp, self.settings, self.on_step = rig, grasp, settings, on_step
+        self.T_grasp = grasp.T_world_gripper
+        self.T_target_start = rig.T_world_target
+        self.T_gripper_held = np.eye(4)
+        self.held_point = np.zeros(3)
+        self.closing_m = 0.0
+        self.largest_slip_m = 0.0
+        self.substeps = max(1, round(settings.control_s / rig.model.opt.timestep))
+        rig.set_force_limit(settings.grip_n)
+
+    def run(self) -> str:
+        """The reason of the outcome."""
+        if not self.rig.reaches(self.grasp):
+            return "unreachable_width"
+        for phase in (self._approach, self._close, self._lift, self._shake):
+            failure = phase()
+            if failure is not None:
+                return failure
+        return "held"
+
+    def lift_m(self) -> float:
+        """Height gained by the object since the attempt began; 0 where the state is not finite."""
+        gained = float(self.rig.T_world_target[2, 3] - self.T_target_start[2, 3])
+        return gained if np.isfinite(gained) else 0.0
+
+    def _approach(self) -> str | None:
+        s = self.settings
+        behind = -s.standoff_m * self.T_grasp[:3, 2]
+        self.rig.place(_moved(self.T_grasp, behind), self.grasp.width_m)
+
+        def collided() -> str | None:
+            pushed = np.linalg.norm(self.rig.T_world_target[:3, 3] - self.T_target_start[:3, 3])
+            touched = pushed > s.push_m or self.rig.largest_force_n() > s.touch_n
+            return "collided_on_approach" if touched else None
+
+        return collided() or self._follow(
+            lambda t: _moved(self.T_grasp, (1.0 - _smooth(t)) * behind), s.approach_s, collided
+        )
+
+    def _close(self) -> str | None:
+        s = self.settings
+
+        def close_further() -> None:
+            self.closing_m += s.grip_ramp_mps * s.control_s
+            self.rig.set_opening(self.grasp.width_m - self.closing_m)
+
+        failure = self._follow(lambda t: self.T_grasp, s.close_s, close_further)
+        if failure is None and self.rig.touching_pads() < 2:
+            failure = "no_contact"
+        self.T_gripper_held = invert_T(self.rig.T_world_gripper) @ self.rig.T_world_target
+        self.held_point = invert_T(self.T_gripper_held)[:3, 3]
+        return failure
+
+    def _lift(self) -> str | None:
+        s = self.settings
+
+        def slipped() -> str | None:
+            return self._slipped("slipped_on_lift")
+
+        T_up = _moved(self.T_grasp, s.lift_m * _UP)
+        return self._follow(
+            lambda t: _moved(self.T_grasp, _smooth(t) * s.lift_m * _UP), s.lift_s, slipped
+        ) or self._follow(lambda t: T_up, s.hold_s, slipped)
+
+    def _shake(self) -> str | None:
+        s = self.settings
+        T_up = _moved(self.T_grasp, s.lift_m * _UP)
+        swings = [lambda wave, axis=axis: _moved(T_up, s.shake_m * wave * axis) for axis in _SHAKE_AXES]
+        turns = [lambda wave, axis=axis: _turned(T_up, axis, np.deg2rad(s.shake_deg) * wave) for axis in _SHAKE_AXES]
+        for motion in (*swings, *turns):
+            failure = self._follow(
+                lambda t, motion=motion: motion(_swing(t, s.shake_cycles)),
+                s.shake_cycles / s.shake_hz,
+                lambda: self._slipped("slipped_on_shake"),
+            )
+            if failure is not None:
+                return failure
+        return None
+
+    def _follow(
+        self, pose_at: Callable[[float], np.ndarray], seconds: float, failure: Callable[[], str | None]
+    ) -> str | None:
+        """Follow a path over t = 0 to 1, commanded at every time step and checked at every `control_s`.
+
+        A command that stood for several steps would jerk the gripper at each new one, and shake the object loose.
+        """
+        model, data, every = self.rig.model, self.rig.data, self.substeps
+        num = every * max(1, round(seconds / self.settings.control_s))
+        poses = np.stack([pose_at(i / num) for i in range(1, num + 1)])
+        quats = Rotation.from_matrix(poses[:, :3, :3]).as_quat(scalar_first=True)
+        for i in range(num):
+            self.rig.command(poses[i, :3, 3], quats[i])
+            mujoco.mj_step(model, data)
+            if (i + 1) % every:
+                continue
+            if self.on_step is not None:
+                self.on_step(data)
+            if self.rig.is_unstable(self.settings.too_fast_mps):
+                return "unstable"
+            found = failure()
+            if found is not None:
+                return found
+        return None
+
+    def _slipped(self, reason: str) -> str | None:
+        """Compare the object in the gripper with how it was at the end of closing."""
+        now = invert_T(self.rig.T_world_gripper) @ self.rig.T_world_target
+        slip = float(np.linalg.norm(now[:3, :3] @ self.held_point + now[:3, 3]))
+        cosine = (np.trace(now[:3, :3] @ self.T_gripper_held[:3, :3].T) - 1.0) / 2.0
+        turned_deg = float(np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0))))
+        self.largest_slip_m = max(self.largest_slip_m, slip)
+        lost = self.rig.touching_pads() == 0
+        return reason if lost or slip > self.settings.slip_m or turned_deg > self.settings.slip_deg else None
+
+
+def _moved(T: np.ndarray, offset: np.ndarray) -> np.ndarray:
+    return make_T(T[:3, :3], T[:3, 3] + offset)
+
+
+def _turned(T: np.ndarray, axis: np.ndarray, angle_rad: float) -> np.ndarray:
+    return make_T(rotation_about(axis, angle_rad) @ T[:3, :3], T[:3, 3])
+
+
+def _smooth(t: float) -> float:
+    """Minimum jerk from 0 to 1."""
+    return t**3 * (10.0 - 15.0 * t + 6.0 * t**2)
+
+
+def _swing(t: float, cycles: int) -> float:
+    """A sinusoid that starts and ends at rest."""
+    return float(np.sin(2 * np.pi * cycles * t) * np.sin(np.pi * t) ** 0.5) if 0 < t < 1 else 0.0

@@ -1,0 +1,63 @@
+"""A grasp goes through the action space and back."""
+
+import numpy as np
+import pytest
+
+from gfp_grasp.envs.action import NUM_ACTION, ActionCode
+from gfp_grasp.errors import InvalidAction, InvalidOption
+from gfp_grasp.transforms import make_T, random_rotation
+from gfp_grasp.types import Grasp
+
+
+@pytest.mark.parametrize("seed", range(50))
+def test_any_grasp_comes_back_within_a_tenth_of_a_millimetre_and_degree(seed):
+    rng = np.random.default_rng(seed)
+    code = ActionCode()
+    position = np.asarray(code.centre_m) + rng.uniform(-1, 1, 3) * code.half_m
+    grasp = Grasp(make_T(random_rotation(rng), position), rng.uniform(0, code.max_width_m))
+    action = code.encode(grasp)
+    back = code.decode(action)
+    assert action.dtype == np.float32
+    assert np.abs(action).max() <= 1
+    assert np.linalg.norm(back.T_world_gripper[:3, 3] - position) < 1e-6
+    assert abs(back.width_m - grasp.width_m) < 1e-6
+    cosine = (np.trace(back.T_world_gripper[:3, :3].T @ grasp.T_world_gripper[:3, :3]) - 1) / 2
+    assert np.rad2deg(np.arccos(np.clip(cosine, -1, 1))) < 0.1
+
+
+def test_every_vector_of_the_box_is_a_rigid_grasp():
+    rng = np.random.default_rng(0)
+    vectors = [rng.uniform(-1, 1, NUM_ACTION) for _ in range(100)] + [np.zeros(NUM_ACTION), np.ones(NUM_ACTION)]
+    for vector in vectors:
+        R = ActionCode().decode(vector.astype(np.float32)).T_world_gripper[:3, :3]
+        np.testing.assert_allclose(R.T @ R, np.eye(3), atol=1e-12)
+        assert np.linalg.det(R) == pytest.approx(1.0)
+
+
+def test_the_zero_action_comes_straight_down_at_the_centre():
+    grasp = ActionCode().decode(np.zeros(NUM_ACTION))
+    np.testing.assert_allclose(grasp.T_world_gripper[:3, 2], (0, 0, -1))
+    np.testing.assert_allclose(grasp.T_world_gripper[:3, 3], ActionCode().centre_m)
+
+
+@pytest.mark.parametrize(
+    ("action", "message"),
+    [
+        (np.full(NUM_ACTION, np.nan), "not finite"),
+        (np.zeros(3), "shape"),
+        (np.full(NUM_ACTION, 2.0), "between -1 and 1"),
+    ],
+)
+def test_what_is_not_an_action_is_refused(action, message):
+    with pytest.raises(InvalidAction, match=message):
+        ActionCode().decode(action)
+
+
+def test_a_grasp_outside_of_the_workspace_is_refused():
+    with pytest.raises(InvalidAction, match="workspace"):
+        ActionCode().encode(Grasp(make_T(t=(5.0, 0, 0)), 0.05))
+
+
+def test_an_empty_workspace_is_refused():
+    with pytest.raises(InvalidOption, match="half_m"):
+        ActionCode(half_m=(0.0, 0.1, 0.1))

@@ -1,0 +1,178 @@
+"""The planner on shapes whose good grasps are known."""
+
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import real_data
+import trimesh
+
+from gfp_grasp.errors import InvalidOption
+from gfp_grasp.grasps import GraspConfig, Gripper, plan_grasps
+from gfp_grasp.grasps.clearance import height_above, room_around
+from gfp_grasp.grasps.contact import find_contacts
+from gfp_grasp.meshes import load_mesh
+from gfp_grasp.transforms import apply_T, make_T, rotation_about
+from gfp_grasp.types import Detection, OrientedBox, PointCloud, SupportPlane
+
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def completion_of(mesh, *, observed=True, sigma_m=0.0, support=None, up=UP):
+    """What the planner needs of a completion, around a mesh."""
+    points = np.asarray(mesh.vertices)
+    box = OrientedBox(np.eye(4), np.ptp(points, axis=0))
+    detection = Detection(PointCloud(points), up, support, "cup", {"cup": 1.0}, box)
+    seen = np.broadcast_to(observed, (len(points),))
+    parts = (mesh.convex_hull,) if mesh.is_convex else ()
+    return SimpleNamespace(
+        mesh=mesh, parts=parts, observed=seen, sigma_m=np.full(len(points), sigma_m), detection=detection
+    )
+
+
+def cylinder(radius_m=0.03, height_m=0.12):
+    mesh = trimesh.creation.cylinder(radius_m, height_m, sections=64)
+    mesh.apply_translation((0, 0, height_m / 2))
+    return mesh
+
+
+def cup(radius_m=0.05, wall_m=0.003, height_m=0.1):
+    profile = [
+        (0, 0), (radius_m, 0), (radius_m, height_m), (radius_m - wall_m, height_m), (radius_m - wall_m, wall_m), (0, wall_m)
+    ]  # fmt: skip
+    return trimesh.creation.revolve(profile, sections=64)
+
+
+def test_a_cylinder_is_pinched_across_its_axis():
+    grasps = plan_grasps(completion_of(cylinder()), num=8)
+    assert len(grasps) == 8
+    for grasp in grasps:
+        T = grasp.T_world_gripper
+        assert abs(T[2, 1]) < 0.2  # the closing axis is level
+        assert abs(np.cross(T[:3, 3], T[:3, 1])[2]) < 0.006  # and crosses the cylinder's
+        assert 0.060 < grasp.width_m <= 0.080
+
+
+def test_a_cup_too_wide_for_the_jaws_is_pinched_by_its_wall():
+    grasps = plan_grasps(completion_of(cup()), num=8)
+    assert len(grasps) == 8
+    for grasp in grasps:
+        assert grasp.width_m == pytest.approx(0.003 + 0.020, abs=0.002)
+        assert grasp.T_world_gripper[2, 3] > 0.05  # as deep as the fingers are long
+        assert grasp.T_world_gripper[2, 2] < -0.8  # from above
+
+
+def test_grasps_are_rigid_and_ranked():
+    grasps = plan_grasps(completion_of(cylinder()), num=16)
+    qualities = [grasp.quality for grasp in grasps]
+    assert qualities == sorted(qualities, reverse=True)
+    assert all(0 < quality <= 1 for quality in qualities)
+    for grasp in grasps:
+        R = grasp.T_world_gripper[:3, :3]
+        np.testing.assert_allclose(R.T @ R, np.eye(3), atol=1e-9)
+        assert np.linalg.det(R) == pytest.approx(1.0)
+
+
+def test_the_same_seed_gives_the_same_grasps_and_another_seed_does_not():
+    first, again, other = (plan_grasps(completion_of(cup()), seed=seed) for seed in (3, 3, 4))
+    assert all(np.array_equal(a.T_world_gripper, b.T_world_gripper) for a, b in zip(first, again, strict=True))
+    assert not np.array_equal(first[0].T_world_gripper, other[0].T_world_gripper)
+
+
+@pytest.mark.parametrize(
+    "mesh", [cylinder(), cup(), trimesh.creation.box((0.05, 0.06, 0.1))], ids=["cylinder", "cup", "box"]
+)
+def test_no_grasp_touches_object_or_support_on_its_way_in(mesh):
+    mesh = mesh.copy()
+    mesh.apply_translation((0, 0, -mesh.bounds[0, 2]))
+    config = GraspConfig()
+    fresh = trimesh.sample.sample_surface(mesh, 20_000, seed=99)[0]
+    support = SupportPlane(UP, 0.0)
+    for grasp in plan_grasps(completion_of(mesh, support=support)):
+        pose, opening = grasp.T_world_gripper[None], np.array([grasp.width_m])
+        sweep = {"gripper": config.gripper, "standoff_m": config.standoff_m}
+        assert room_around(pose, opening, fresh, **sweep)[0] > -0.001
+        assert height_above(pose, opening, support, **sweep)[0] >= config.table_clearance_m
+
+
+def test_no_grasp_comes_from_below_a_slanted_support():
+    R = rotation_about((1, 0, 0), 0.4)
+    mesh = cylinder()
+    mesh.apply_transform(make_T(R, (0.1, 0.2, 0.3)))
+    up = R @ UP
+    grasps = plan_grasps(completion_of(mesh, support=SupportPlane(up, float(up @ (0.1, 0.2, 0.3))), up=up))
+    assert grasps
+    assert all(grasp.T_world_gripper[:3, 2] @ up <= 0.1 + 1e-9 for grasp in grasps)
+
+
+def test_an_object_wider_than_the_stroke_has_no_grasp():
+    assert plan_grasps(completion_of(trimesh.creation.icosphere(radius=0.06))) == ()
+
+
+@pytest.mark.parametrize(
+    "mesh",
+    [
+        trimesh.Trimesh([[0, 0, 0], [0.05, 0, 0], [0, 0.05, 0]], [[0, 1, 2]], process=False),
+        trimesh.Trimesh([[0, 0, 0], [0.05, 0, 0], [0, 0.05, 0], [0, 0, 0.05]], [[0, 1, 2], [0, 3, 1]], process=False),
+        trimesh.creation.box((0.05, 0.05, 1e-5)),
+    ],
+    ids=["one face", "two faces", "a sheet"],
+)
+def test_hostile_meshes_have_no_grasp_and_do_no_harm(mesh):
+    assert plan_grasps(completion_of(mesh)) == ()
+
+
+def test_guessed_surface_lowers_quality():
+    seen = plan_grasps(completion_of(cylinder()))[0]
+    guessed = plan_grasps(completion_of(cylinder(), observed=False, sigma_m=0.01))[0]
+    assert guessed.quality == pytest.approx(seen.quality * np.exp(-1), rel=0.05)
+
+
+def test_a_plan_of_no_grasps_is_refused():
+    with pytest.raises(InvalidOption, match="num is 0"):
+        plan_grasps(completion_of(cylinder()), num=0)
+
+
+@pytest.mark.parametrize("knob", [{"friction": 0.0}, {"num_rays": -1}, {"min_clearance_m": 0.05}, {"max_climb": 2.0}])
+def test_a_nonsense_config_is_refused(knob):
+    with pytest.raises(InvalidOption, match=next(iter(knob))):
+        GraspConfig(**knob)
+
+
+def test_contacts_of_a_box_are_its_faces():
+    mesh = trimesh.creation.box((0.03, 0.04, 0.05))
+    points, face = trimesh.sample.sample_surface(mesh, 5000, seed=0)
+    poses = np.eye(4)[None]
+    contacts = find_contacts(
+        poses, np.array([0.06]), points, mesh.face_normals[face], np.full(5000, 0.5), gripper=Gripper()
+    )
+    assert contacts.low_m[0] == pytest.approx(-0.02, abs=1e-6)
+    assert contacts.high_m[0] == pytest.approx(0.02, abs=1e-6)
+    assert contacts.squareness[0] == pytest.approx(1.0)
+    assert contacts.realness[0] == pytest.approx(0.5)
+
+
+def test_room_is_the_gap_to_the_nearest_box_and_moves_with_the_gripper():
+    gripper = Gripper()
+    point = np.array([[0.0, 0.0, 0.0]])  # midway between the pads
+    T = make_T(rotation_about((1, 2, 3), 1.0), (0.3, -0.2, 0.5))
+    room = room_around(T[None], np.array([0.06]), apply_T(T, point), gripper=gripper, standoff_m=0.1)
+    assert room[0] == pytest.approx(0.03, abs=1e-6)
+    inside = apply_T(T, np.array([[0.0, 0.034, 0.0]]))  # behind a pad 6 mm thick
+    assert room_around(T[None], np.array([0.06]), inside, gripper=gripper, standoff_m=0.1)[0] < 0
+
+
+@pytest.mark.parametrize("knob", [0.0, 0.08])
+def test_the_boxes_of_both_jaws_mirror_each_other(knob):
+    gripper = Gripper()
+    boxes = gripper.solids(np.array([knob]))[0]
+    num = len(gripper.jaw)
+    np.testing.assert_allclose(boxes[:num, 0, 1], -boxes[num : 2 * num, 1, 1])
+    np.testing.assert_allclose(boxes[:num, :, [0, 2]], boxes[num : 2 * num][:, :, [0, 2]])
+    assert boxes[:num, 0, 1].min() == pytest.approx(knob / 2)
+
+
+@pytest.mark.parametrize("name", ["bottle__fuze_bottle", "cup__gso_red_cup", "mug__ycb_025_mug", "cup__plastic_glass"])
+def test_real_scans_can_be_grasped(name):
+    mesh = load_mesh(real_data.folder() / "meshes" / f"{name}.ply")
+    assert len(plan_grasps(completion_of(mesh), num=4)) == 4
