@@ -1,0 +1,76 @@
+"""Planning a grasp among other objects, trying it in the simulator, and filming that."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+
+from gfp_grasp.complete import Completion
+from gfp_grasp.envs import run_trial
+from gfp_grasp.envs.picture import shade
+from gfp_grasp.grasps import plan_grasps
+from gfp_grasp.scenes.stage import Stage
+from gfp_grasp.types import Detection, Grasp, Outcome
+
+_NUM_GRASPS = 16
+# A neighbour whose box comes closer than this to the object's can be in the gripper's way.
+_NEIGHBOUR_M = 0.15
+_FRAME_PX = (360, 270)
+_COMMANDS_A_FRAME = 9  # 90 ms of simulation, shown for 60 ms
+
+
+@dataclass(frozen=True, eq=False)
+class _Among:
+    """A completion whose neighbours' parts are in the gripper's way too."""
+
+    mesh: trimesh.Trimesh
+    parts: tuple[trimesh.Trimesh, ...]
+    observed: np.ndarray
+    sigma_m: np.ndarray
+    detection: Detection
+
+
+def plan_among(
+    completion: Completion, all_of_them: Sequence[Completion], *, seed: int
+) -> tuple[tuple[Grasp, ...], float]:
+    """Grasps on one completion that stay clear of the others, best first, and the seconds that it took."""
+    start = time.perf_counter()
+    low, high = completion.mesh.bounds
+    parts = list(completion.parts)
+    for other in all_of_them:
+        near = (other.mesh.bounds[0] < high + _NEIGHBOUR_M).all() and (other.mesh.bounds[1] > low - _NEIGHBOUR_M).all()
+        if other is not completion and near:
+            parts += other.parts
+    scene = _Among(completion.mesh, tuple(parts), completion.observed, completion.sigma_m, completion.detection)
+    return plan_grasps(scene, _NUM_GRASPS, seed=seed), time.perf_counter() - start
+
+
+def attempt(stage: Stage, grasp: Grasp, target: str, *, film: bool = False) -> tuple[Outcome, list[np.ndarray]]:
+    """Try a grasp on the stage, which is restored first.
+
+    Args:
+        stage: Objects at rest.
+        grasp: World frame.
+        target: Name of the object.
+        film: Whether to take pictures.
+
+    Returns:
+        What happened, and frames (h, w, 3) uint8.
+    """
+    stage.restore()
+    frames: list[np.ndarray] = []
+    commands = 0
+
+    def watch(data: object) -> None:
+        nonlocal commands
+        if commands % _COMMANDS_A_FRAME == 0:
+            frames.append(shade(stage.model, data, width=_FRAME_PX[0], height=_FRAME_PX[1]))
+        commands += 1
+
+    outcome = run_trial(stage.model, stage.data, grasp, target=target, on_step=watch if film else None)
+    stage.restore()
+    return outcome, frames
