@@ -10,8 +10,9 @@ mujoco = pytest.importorskip("mujoco")
 from gfp_grasp import scenes  # noqa: E402
 from gfp_grasp.assets import data_dir  # noqa: E402
 from gfp_grasp.collision import hull  # noqa: E402
-from gfp_grasp.errors import InvalidOption, InvalidScene, UnreadableFile  # noqa: E402
+from gfp_grasp.errors import InvalidMesh, InvalidOption, InvalidScene, UnreadableFile  # noqa: E402
 from gfp_grasp.scenes import cache, gripper  # noqa: E402
+from gfp_grasp.scenes.cutting import cut_parts  # noqa: E402
 from gfp_grasp.transforms import apply_T, invert_T, make_T, rotation_about  # noqa: E402
 from gfp_grasp.types import CollisionMesh, ConvexPart  # noqa: E402
 
@@ -304,3 +305,19 @@ def test_real_meshes_become_sources():
     sources = scenes.load_objects(real_data.folder() / "meshes")
     assert {"mug", "bottle", "cup"} <= {source.category for source in sources}
     assert all(source.load_mesh().is_volume for source in sources[:3])
+
+
+def test_a_cut_cup_stays_hollow_and_a_box_stays_whole():
+    outer, inner = cylinder(0.04, 0.1), cylinder(0.037, 0.1)
+    inner.apply_translation([0, 0, 0.003])
+    cup = trimesh.boolean.difference([outer, inner])
+    collision = cut_parts(cup)
+    assert collision.error_m[0] < 5e-4
+    assert 1.0 < sum(part.to_trimesh().volume for part in collision.parts) / cup.volume < 1.25
+    hollow = np.array([[0, 0, 0.05], [0.03, 0, 0.09], [0, -0.03, 0.02]])
+    assert not any(part.to_trimesh().contains(hollow).any() for part in collision.parts)
+    again = cut_parts(cup)
+    assert all(np.array_equal(a.vertices, b.vertices) for a, b in zip(collision.parts, again.parts, strict=True))
+    assert len(cut_parts(trimesh.creation.box((0.05, 0.06, 0.1))).parts) == 1
+    with pytest.raises(InvalidMesh, match="watertight"):
+        cut_parts(trimesh.Trimesh(cup.vertices, cup.faces[5:]))

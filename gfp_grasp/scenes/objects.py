@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import trimesh
 
+from gfp_grasp.errors import DecompositionFailed
 from gfp_grasp.meshes import check_mesh, make_solid
 from gfp_grasp.scenes.cache import decompose_cached
 from gfp_grasp.types import CollisionMesh, TrueObject
@@ -18,6 +19,8 @@ _VESSEL_FILL = 0.5
 _WALL_DENSITY = (900.0, 2400.0)  # kg/m3, plastic to stoneware
 _FILLED_DENSITY = (150.0, 1050.0)  # kg/m3, an almost empty to a full bottle, over its outer volume
 _MASS_KG = (0.02, 1.0)
+# What CoACD's default threshold leaves on thin cups and mugs: 0.4 to 0.9 mm mean, 1.3 to 3.0 mm at 95 %.
+_MEAN_ERROR_M, _ERROR_95_M = 0.001, 0.0035
 _FRICTION = (0.4, 1.0)  # rubber on wet plastic to rubber on dry stoneware
 
 
@@ -31,7 +34,8 @@ def true_object(
         name: Of the data set and the mesh, never a path.
         category: Class, or "" where it is unknown.
         rng: Draws mass (from the volume at a density that suits a vessel or a filled bottle) and friction.
-        decompose: Gives the convex parts; None is collision.decompose, its results kept on disk by mesh.
+        decompose: Gives the convex parts; None cuts by planes (cutting.cut_parts) and, where that
+            leaves more than 1 mm mean error, runs collision.decompose; results are kept on disk by mesh.
 
     Returns:
         The object in its own frame: base at z = 0, the middle of its bounding box at x = y = 0 unless its own axis,
@@ -39,7 +43,7 @@ def true_object(
 
     Raises:
         InvalidMesh: No solid can be made of the mesh.
-        DecompositionFailed: CoACD gave nothing.
+        DecompositionFailed: The mesh is all crumbs.
     """
     mesh = rested(solid_mesh(mesh_or_shape))
     fill = mesh.volume / mesh.convex_hull.volume
@@ -74,7 +78,19 @@ def rested(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 
 
 def _decompose_cached(mesh: trimesh.Trimesh) -> CollisionMesh:
-    from gfp_grasp.collision import DecomposeConfig, decompose
+    return decompose_cached(mesh, _decompose, maker="cuts or coacd")
 
-    config = DecomposeConfig()
-    return decompose_cached(mesh, lambda solid: decompose(solid, config=config), maker=f"coacd {config}")
+
+def _decompose(mesh: trimesh.Trimesh) -> CollisionMesh:
+    """Plane cuts where they are as true to the mesh as CoACD mostly is, for they take a twentieth of its time."""
+    from gfp_grasp.collision import decompose
+    from gfp_grasp.scenes.cutting import cut_parts
+
+    cuts = cut_parts(mesh)
+    if cuts.error_m[0] <= _MEAN_ERROR_M and cuts.error_m[1] <= _ERROR_95_M:
+        return cuts
+    try:
+        coacd = decompose(mesh)
+    except DecompositionFailed:
+        return cuts
+    return min(cuts, coacd, key=lambda collision: collision.error_m[0])
