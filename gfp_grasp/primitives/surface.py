@@ -25,12 +25,16 @@ class Surface:
         self.points, self.normals, self.face_index = sample_surface(mesh, count, rng)
         self._triangles = np.asarray(mesh.triangles)
         self._face_normals = _face_normals(self._triangles)
-        self._trees: dict[float, cKDTree] = {}
+        # Faces too small to be hit by a sample are found by their centres.
+        self._candidates = np.vstack([self.points, self._triangles.mean(axis=1)])
+        self._candidate_normals = np.vstack([self.normals, self._face_normals])
+        self._candidate_faces = np.concatenate([self.face_index, np.arange(len(self._triangles))])
+        self._trees: dict[tuple[bool, float], cKDTree] = {}
 
     def nearest(self, points: np.ndarray, normals: np.ndarray, *, normal_weight_m: float) -> np.ndarray:
         """Index (n,) of the sample nearest in position and normal; a right angle costs 1.4 normal_weight_m."""
         features = np.hstack([points, normals * normal_weight_m])
-        return np.asarray(self._tree(normal_weight_m).query(features)[1])
+        return np.asarray(self._tree(normal_weight_m, exact=False).query(features)[1])
 
     def closest(
         self, points: np.ndarray, normals: np.ndarray | None = None, *, normal_weight_m: float = 0.0
@@ -46,24 +50,24 @@ class Surface:
             Closest points (n, 3) m, and the unit normals (n, 3) of their faces.
         """
         if normals is None:
-            index = self._tree(0.0).query(points, k=_NUM_CANDIDATES)[1]
+            index = self._tree(0.0, exact=True).query(points, k=_NUM_CANDIDATES)[1]
         else:
             features = np.hstack([points, normals * normal_weight_m])
-            index = self._tree(normal_weight_m).query(features, k=_NUM_CANDIDATES)[1]
-        faces = self.face_index[index]
+            index = self._tree(normal_weight_m, exact=True).query(features, k=_NUM_CANDIDATES)[1]
+        faces = self._candidate_faces[index]
         flat = np.repeat(points, _NUM_CANDIDATES, axis=0)
         candidates = trimesh.triangles.closest_point(self._triangles[faces.ravel()], flat).reshape(*faces.shape, 3)
         best = np.linalg.norm(candidates - points[:, None], axis=2).argmin(axis=1)
         rows = np.arange(len(points))
         return candidates[rows, best], self._face_normals[faces[rows, best]]
 
-    def _tree(self, normal_weight_m: float) -> cKDTree:
-        if normal_weight_m not in self._trees:
-            features = self.points
-            if normal_weight_m > 0:
-                features = np.hstack([self.points, self.normals * normal_weight_m])
-            self._trees[normal_weight_m] = cKDTree(features)
-        return self._trees[normal_weight_m]
+    def _tree(self, normal_weight_m: float, *, exact: bool) -> cKDTree:
+        key = (exact, normal_weight_m)
+        if key not in self._trees:
+            points, normals = (self._candidates, self._candidate_normals) if exact else (self.points, self.normals)
+            features = np.hstack([points, normals * normal_weight_m]) if normal_weight_m > 0 else points
+            self._trees[key] = cKDTree(features)
+        return self._trees[key]
 
 
 def surface_distance_m(a: trimesh.Trimesh, b: trimesh.Trimesh, *, seed: int = 0, count: int = 6000) -> float:

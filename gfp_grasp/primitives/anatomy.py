@@ -1,0 +1,114 @@
+"""What the parts of a primitive are: outside, inside and handle, and which symmetry it has."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import trimesh
+
+from gfp_grasp.meshes import vertex_normals
+from gfp_grasp.primitives.surface import Surface
+from gfp_grasp.transforms import rotation_about
+from gfp_grasp.types import HANDLE, INSIDE, OUTSIDE, Symmetry
+
+_UP = np.array([0.0, 0.0, 1.0])
+# Rays per vertex that look for a way out to the side or downwards.
+_NUM_DIRECTIONS = 64
+# What stands out of the body by more than this share of the diagonal is handle.
+_STAND_OUT = 0.012
+# Turns that tell a body of revolution from one of any small order.
+_ODD_TURNS = np.radians([17.0, 37.0, 61.0])
+_ORDERS = (6, 5, 4, 3, 2)
+
+
+def label_regions(mesh: trimesh.Trimesh) -> np.ndarray:
+    """OUTSIDE, INSIDE or HANDLE for each vertex (v,) uint8 of an upright mesh, its handle (if any) towards +x.
+
+    INSIDE: no ray that leaves the vertex sideways or downwards gets away, so it is reached through the opening only.
+    HANDLE: on a mesh with a hole through it, what lies outside of the body's mirror image from the side without one.
+    """
+    regions = np.full(len(mesh.vertices), OUTSIDE, dtype=np.uint8)
+    regions[_enclosed(mesh)] = INSIDE
+    if mesh.euler_number <= 0:
+        regions[_stands_out(mesh, regions)] = HANDLE
+    return regions
+
+
+def _enclosed(mesh: trimesh.Trimesh) -> np.ndarray:
+    diagonal = float(np.linalg.norm(mesh.extents))
+    normals = vertex_normals(mesh.vertices, mesh.faces)
+    index = np.arange(_NUM_DIRECTIONS)
+    azimuth, height = index * np.pi * (3 - math.sqrt(5)), -0.6 * index / _NUM_DIRECTIONS  # a golden spiral, level to down
+    level = np.sqrt(1 - height**2)
+    directions = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), height], axis=1)
+    ahead = normals @ directions.T > 0.1
+    vertex, which = np.nonzero(ahead)
+    start = np.asarray(mesh.vertices)[vertex] + 1e-4 * diagonal * normals[vertex]
+    blocked = mesh.ray.intersects_any(start, directions[which])
+    free = np.bincount(vertex, ~blocked, minlength=len(normals)) > 0
+    return ~free & ahead.any(axis=1)
+
+
+def _stands_out(mesh: trimesh.Trimesh, regions: np.ndarray) -> np.ndarray:
+    vertices = np.asarray(mesh.vertices)
+    diagonal = float(np.linalg.norm(mesh.extents))
+    radius = np.linalg.norm(vertices[:, :2], axis=1)
+    candidates = np.flatnonzero((vertices[:, 0] > 0) & (regions != INSIDE) & (radius > 0.02 * diagonal))
+    mirrored = vertices[candidates] * [-1, 1, 0]
+    start = vertices[candidates] * [0, 0, 1]
+    locations, rays, _ = mesh.ray.intersects_location(start, mirrored / radius[candidates, None], multiple_hits=True)
+    body = np.zeros(len(candidates))
+    np.maximum.at(body, rays, np.linalg.norm(locations[:, :2], axis=1))
+    out = np.zeros(len(vertices), dtype=bool)
+    out[candidates[radius[candidates] > body + _STAND_OUT * diagonal]] = True
+    return _largest_piece(out, mesh.edges_unique)
+
+
+def _largest_piece(chosen: np.ndarray, edges: np.ndarray) -> np.ndarray:
+    """Of the chosen vertices (v,) bool, those of the largest connected piece."""
+    inside = edges[chosen[edges].all(axis=1)]
+    pieces = trimesh.graph.connected_components(inside, nodes=np.flatnonzero(chosen))
+    result = np.zeros_like(chosen)
+    if len(pieces):
+        result[max(pieces, key=len)] = True
+    return result
+
+
+def detect_symmetry(
+    meshes: list[trimesh.Trimesh], rng: np.random.Generator, *, tolerance: float = 0.012, share: float = 0.9
+) -> Symmetry:
+    """The highest symmetry about the z axis that most members of a class have.
+
+    Args:
+        meshes: Members in the primitive's frame; one is enough.
+        rng: For the samples that are turned.
+        tolerance: Mean distance of the turned surface from the surface, as a share of the diagonal.
+        share: Of the members that must have it.
+
+    Returns:
+        Axis z; order inf, 6 to 2, or 1; normal of a vertical mirror plane, (0, 1, 0) where that one fits, or None.
+    """
+    surfaces = [Surface(mesh, rng, count=4000) for mesh in meshes]
+    limits = np.array([tolerance * np.linalg.norm(mesh.extents) for mesh in meshes])
+
+    def most_fit(moves: list[np.ndarray]) -> bool:
+        error = np.array([max(_moved_distance(surface, move) for move in moves) for surface in surfaces])
+        return bool((error <= limits).mean() >= share)
+
+    order: float = 1
+    if most_fit([rotation_about(_UP, turn) for turn in _ODD_TURNS]):
+        order = math.inf
+    else:
+        order = next((n for n in _ORDERS if most_fit([rotation_about(_UP, 2 * np.pi / n)])), 1)
+    for angle in np.radians([90.0, 0.0, 45.0, 135.0, 30.0, 60.0, 120.0, 150.0]):
+        normal = np.array([np.cos(angle), np.sin(angle), 0.0])
+        if most_fit([np.eye(3) - 2 * np.outer(normal, normal)]):
+            return Symmetry(_UP, order, np.round(normal, 12))
+    return Symmetry(_UP, order, None)
+
+
+def _moved_distance(surface: Surface, move: np.ndarray) -> float:
+    points = surface.points[::4] @ move.T
+    closest = surface.closest(points, surface.normals[::4] @ move.T, normal_weight_m=0.002)[0]
+    return float(np.linalg.norm(closest - points, axis=1).mean())

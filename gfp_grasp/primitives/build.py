@@ -1,0 +1,280 @@
+"""Building the Generic Primitive of a class from any set of its meshes."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+import trimesh
+
+from gfp_grasp.errors import BuildFailed, GfpGraspError, InvalidOption
+from gfp_grasp.meshes import check_mesh, crossing_faces, make_solid, vertex_normals
+from gfp_grasp.primitives.anatomy import detect_symmetry, label_regions
+from gfp_grasp.primitives.correspondence import CorrespondenceConfig, TemplateFitter
+from gfp_grasp.primitives.mls import project
+from gfp_grasp.primitives.modes import ShapeModel, shape_model
+from gfp_grasp.primitives.pose import bring_into_one_pose, stand_up
+from gfp_grasp.primitives.procrustes import generalized
+from gfp_grasp.primitives.remesh import RemeshConfig, remesh
+from gfp_grasp.primitives.resample import ResampleConfig, resample
+from gfp_grasp.primitives.template import choose_template
+from gfp_grasp.primitives.twin import without_handle
+from gfp_grasp.primitives.untangle import untangle
+from gfp_grasp.types import HANDLE, ConvexPart, GenericPrimitive
+
+Progress = Callable[[Iterable, int], Iterable]
+_UP = np.array([0.0, 0.0, 1.0])
+
+
+@dataclass(frozen=True)
+class BuildConfig:
+    """How a primitive is built.
+
+    Attributes:
+        orientation: What is known of the meshes: "placed" (upright, axis through x = y = 0, handle towards +x),
+            "upright" (z is up, any yaw and place), or "any".
+        rounds: Fits of all members; after each one the template is the mean of what fitted.
+        variance: Share of the variance that the modes keep.
+        max_modes: At most so many modes.
+        smoothing: Width of the MLS kernel, in mean edge lengths of the template.
+        max_residual: Members farther than this from the bent template are dropped; share of their diagonal.
+        min_covered: Members that fewer of the template's vertices find are dropped.
+        max_flipped: Members on which more faces turn inside out are dropped.
+        min_members: Fewer than this in the end is a failure.
+        symmetry_share: Share of the members that must have a symmetry for the class to have it.
+        parts: Whether the mean is decomposed into convex parts.
+        licence: Of the meshes.
+    """
+
+    orientation: Literal["placed", "upright", "any"] = "placed"
+    rounds: int = 2
+    variance: float = 0.99
+    max_modes: int = 24
+    smoothing: float = 0.75
+    max_residual: float = 0.015
+    min_covered: float = 0.93
+    max_flipped: float = 0.03
+    min_members: int = 5
+    symmetry_share: float = 0.9
+    parts: bool = True
+    licence: str = ""
+    correspondence: CorrespondenceConfig = field(default_factory=CorrespondenceConfig)
+    remesh: RemeshConfig = field(default_factory=lambda: RemeshConfig(min_edge=0.015, max_edge=0.05))
+    resample: ResampleConfig = field(default_factory=ResampleConfig)
+
+    def __post_init__(self) -> None:
+        if self.orientation not in ("placed", "upright", "any"):
+            raise InvalidOption(f"orientation is {self.orientation!r}: choose 'placed', 'upright' or 'any'")
+        if self.rounds < 1 or not 0 < self.variance <= 1 or self.max_modes < 1 or self.min_members < 2:
+            raise InvalidOption(f"{self}: rounds >= 1, 0 < variance <= 1, max_modes >= 1, min_members >= 2 are expected")
+
+
+def build_primitive(
+    meshes: Sequence[trimesh.Trimesh],
+    category: str,
+    *,
+    config: BuildConfig = BuildConfig(),
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> GenericPrimitive:
+    """Mean, modes, scales, regions, symmetry and parts of a class, from meshes that share no vertex order.
+
+    Members are repaired and brought into one pose; a template is bent onto each of them, replaced by the mean, and
+    bent again; Generalized Procrustes Analysis aligns the results; the mean is projected onto its moving-least-squares
+    surface and thinned out. Members that cannot be repaired or fitted are dropped and counted by reason in the card.
+
+    Args:
+        meshes: In metres, any orientation that the config admits.
+        category: Name of the class.
+        config: How it is built.
+        seed: Same seed, same primitive.
+        progress: Wraps the stream of members, told how many there will be.
+
+    Raises:
+        BuildFailed: Fewer than config.min_members are left.
+    """
+    rng = np.random.default_rng(seed)
+    dropped: Counter[str] = Counter()
+    solids = _repair(meshes, dropped)
+    _enough(solids, dropped, config)
+    members = bring_into_one_pose(solids, config.orientation, rng)
+    template = remesh(members[choose_template(members, rng)], rng, config=config.remesh)
+    vertices, faces = np.zeros((0, 0, 3)), np.asarray(template.faces)
+    for round_index in range(config.rounds):
+        if round_index > 0:
+            template = remesh(_mean_mesh(vertices, faces, config), rng, config=config.remesh)
+        lost: Counter[str] = Counter()
+        vertices, faces = _correspond(template, members, lost, config, seed, progress)
+        _enough(vertices, dropped + lost, config)
+        if round_index == config.rounds - 1:
+            dropped += lost
+    placed = _into_frame(vertices, faces, config)
+    areas = _vertex_areas(placed.mean(axis=0), faces)
+    model = shape_model(placed, areas, variance=config.variance, max_modes=config.max_modes)
+    return _assemble(model, faces, category, config, rng, num_given=len(meshes), dropped=dropped)
+
+
+def _repair(meshes: Sequence[trimesh.Trimesh], dropped: Counter[str]) -> list[trimesh.Trimesh]:
+    solids = []
+    for mesh in meshes:
+        try:
+            mesh = check_mesh(mesh)
+            solid = mesh if mesh.is_volume and mesh.body_count == 1 else make_solid(mesh)[0]
+        except GfpGraspError as error:
+            dropped[f"not repaired: {type(error).__name__}"] += 1
+            continue
+        solids.append(solid)
+    return solids
+
+
+def _correspond(
+    template: trimesh.Trimesh,
+    members: Sequence[trimesh.Trimesh],
+    dropped: Counter[str],
+    config: BuildConfig,
+    seed: int,
+    progress: Progress | None,
+) -> tuple[np.ndarray, np.ndarray]:
+    fitter = TemplateFitter(template, config=config.correspondence, seed=seed)
+    fitted = []
+    watch = progress or (lambda stream, total: stream)
+    for member, found in zip(members, watch(map(fitter.fit, members), len(members)), strict=True):
+        diagonal = float(np.linalg.norm(member.extents))
+        if found.residual_m > config.max_residual * diagonal:
+            dropped["template does not reach it"] += 1
+        elif found.covered < config.min_covered:
+            dropped["lacks surface that the template has"] += 1
+        elif found.flipped > config.max_flipped:
+            dropped["folds the template"] += 1
+        else:
+            fitted.append(found.vertices)
+    return np.array(fitted).reshape(len(fitted), len(template.vertices), 3), np.asarray(template.faces)
+
+
+def _enough(kept: Sequence, dropped: Counter[str], config: BuildConfig) -> None:
+    if len(kept) < config.min_members:
+        reasons = ", ".join(f"{count} {reason}" for reason, count in dropped.items()) or "none was dropped"
+        raise BuildFailed(
+            f"{len(kept)} members are left ({reasons}), {config.min_members} are needed: give more meshes of the class"
+        )
+
+
+def _mean_mesh(vertices: np.ndarray, faces: np.ndarray, config: BuildConfig) -> trimesh.Trimesh:
+    """The mean after scale, as the next template."""
+    placed = _into_frame(vertices, faces, config)
+    mean = shape_model(placed, _vertex_areas(placed.mean(axis=0), faces), max_modes=1).mean
+    return trimesh.Trimesh(_smooth(mean, faces, config.smoothing), faces, process=False)
+
+
+def _into_frame(vertices: np.ndarray, faces: np.ndarray, config: BuildConfig) -> np.ndarray:
+    """Corresponded members (s, v, 3) turned onto each other, upright, base at z = 0, axis at x = y = 0."""
+    areas = _vertex_areas(vertices.mean(axis=0), faces)
+    if config.orientation == "placed":
+        return vertices - [0, 0, 1] * vertices[..., 2].min(axis=1)[:, None, None]
+    aligned = generalized(vertices, weights=areas, axis=_UP if config.orientation == "upright" else None)
+    turned = np.stack([v @ move.R.T for v, move in zip(vertices, aligned.transforms, strict=True)])
+    return stand_up(turned, aligned.mean, faces, upright=config.orientation == "upright")
+
+
+def _smooth(mean: np.ndarray, faces: np.ndarray, width: float) -> np.ndarray:
+    """The mean on its moving-least-squares surface, small folds undone before and after."""
+    mean = untangle(mean, faces)
+    if width <= 0:
+        return mean
+    normals = vertex_normals(mean, faces)
+    edge = float(np.linalg.norm(mean[faces[:, 0]] - mean[faces[:, 1]], axis=1).mean())
+    return untangle(project(mean, normals, mean, normals, radius_m=width * edge), faces)
+
+
+def _vertex_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    corners = vertices[faces]
+    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    return np.bincount(faces.ravel(), np.repeat(area / 6, 3), minlength=len(vertices))
+
+
+def _assemble(
+    model: ShapeModel,
+    faces: np.ndarray,
+    category: str,
+    config: BuildConfig,
+    rng: np.random.Generator,
+    *,
+    num_given: int,
+    dropped: Counter[str],
+) -> GenericPrimitive:
+    mean = _smooth(model.mean, faces, config.smoothing)
+    mean = mean - [0, 0, mean[:, 2].min()]
+    moved = float(np.linalg.norm(mean - model.mean, axis=1).mean())
+    swings = [mean + sign * 2 * mode for mode in model.modes[:6] for sign in (1, -1)]
+    kept, thin, error = resample(np.stack([mean, *swings]), faces, rng, config=config.resample)
+    vertices, modes = mean[kept], model.modes[:, kept]
+    mesh = trimesh.Trimesh(vertices, thin, process=False)
+    if not mesh.is_volume or len(crossing_faces(vertices, thin)):
+        raise BuildFailed(f"the mean {category} is no clean volume: its members are too different, or too few")
+    regions = label_regions(mesh)
+    samples = np.hstack([model.coefficients, model.log_scale])
+    shared = {
+        "category": category,
+        "explained": model.explained,
+        "log_scale_cov": np.cov(model.log_scale.T),
+        "coefficient_samples": samples,
+        "up": _UP,
+        "licence": config.licence,
+    }
+    some = rng.permutation(len(samples))[:40]
+    shapes = [(vertices + np.tensordot(samples[i, :-3], modes, 1)) * np.exp(samples[i, -3:]) for i in some]
+    share = config.symmetry_share
+
+    def symmetry(index: np.ndarray, own_faces: np.ndarray):
+        return detect_symmetry(
+            [trimesh.Trimesh(shape[index], own_faces, process=False) for shape in shapes], rng, share=share
+        )
+
+    twin = twin_map = None
+    if (regions == HANDLE).any():
+        twin_map, twin_faces = without_handle(vertices, thin, regions)
+        twin = GenericPrimitive(
+            vertices=vertices[twin_map],
+            faces=twin_faces,
+            modes=modes[:, twin_map],
+            symmetry=symmetry(twin_map, twin_faces),
+            regions=regions[twin_map],
+            parts=_convex_parts(vertices[twin_map], twin_faces, config),
+            **shared,
+        )
+    card = {
+        "meshes_given": num_given,
+        "members_used": len(samples),
+        "members_dropped": dict(dropped),
+        "vertices": len(vertices),
+        "faces": len(thin),
+        "modes": len(modes),
+        "variance_kept": float(model.explained.sum()),
+        "rms_after_scale_mm": round(1e3 * model.variance_m2**0.5, 3),
+        "smoothing_moved_mm": round(1e3 * moved, 4),
+        "resampling_error_mm": round(1e3 * error, 4),
+        "dense_vertices": len(mean),
+    }
+    return GenericPrimitive(
+        vertices=vertices,
+        faces=thin,
+        modes=modes,
+        symmetry=symmetry(np.arange(len(vertices)), thin),
+        regions=regions,
+        parts=_convex_parts(vertices, thin, config),
+        twin=twin,
+        twin_map=twin_map,
+        card=card,
+        **shared,
+    )
+
+
+def _convex_parts(vertices: np.ndarray, faces: np.ndarray, config: BuildConfig) -> tuple[ConvexPart, ...]:
+    if not config.parts:
+        return ()
+    from gfp_grasp.collision import decompose_fine  # starts a child process; only builds need it
+
+    return tuple(decompose_fine(trimesh.Trimesh(vertices, faces, process=False)))

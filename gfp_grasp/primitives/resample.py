@@ -1,0 +1,177 @@
+"""The fewest vertices that still carry a mean and its modes: half-edge collapse under quadrics of many shapes."""
+
+from __future__ import annotations
+
+import heapq
+from dataclasses import dataclass
+
+import numpy as np
+import trimesh
+
+from gfp_grasp.errors import InvalidOption
+from gfp_grasp.meshes import crossing_faces
+from gfp_grasp.primitives.remesh import _rings
+from gfp_grasp.primitives.surface import Surface
+
+# A collapse may turn a face by up to 72 degrees in any of the shapes, and leave no needle.
+_MAX_TURN, _MIN_HEIGHT = 0.3, 0.12
+
+
+@dataclass(frozen=True)
+class ResampleConfig:
+    """How far vertices are thinned out.
+
+    Attributes:
+        max_error_m: Largest distance between the thinned and the dense mean.
+        max_mode_error_m: The same for each of the other shapes, at the 99th percentile.
+        max_edge: Longest edge, as a share of the mean's diagonal: modes need vertices also where the mean is flat.
+    """
+
+    max_error_m: float = 0.0005
+    max_mode_error_m: float = 0.001
+    max_edge: float = 0.09
+
+    def __post_init__(self) -> None:
+        if not (self.max_error_m > 0 and self.max_mode_error_m > 0 and 0 < self.max_edge < 1):
+            raise InvalidOption(f"{self}: errors above zero and 0 < max_edge < 1 are expected")
+
+
+def resample(
+    shapes: np.ndarray, faces: np.ndarray, rng: np.random.Generator, *, config: ResampleConfig = ResampleConfig()
+) -> tuple[np.ndarray, np.ndarray, float]:
+    """Thin out a mesh that takes many shapes.
+
+    Edges collapse onto one of their ends, so each remaining vertex is one of the old ones and every mode is carried
+    over by picking its rows. The cost is the quadric error (Garland and Heckbert, SIGGRAPH 1997) summed over shapes.
+
+    Args:
+        shapes: (m, v, 3) m; the first is the mean, the others what its modes make of it.
+        faces: (f, 3), closed.
+        rng: For the samples that measure the error.
+        config: How far.
+
+    Returns:
+        Index of the kept vertices (w,), their faces (g, 3), and the largest distance to the dense mean in metres.
+    """
+    limit = config.max_edge * float(np.linalg.norm(np.ptp(shapes[0], axis=0)))
+    history = _collapse_all(shapes, faces, limit)
+    low, high = 0, len(history)  # low collapses are fine, more than high are not
+    while low < high:
+        count = (low + high + 1) // 2
+        kept, thin = _after(history, count, faces, len(shapes[0]))
+        if _fits(shapes, faces, kept, thin, rng, config):
+            low = count
+        else:
+            high = count - 1
+    kept, thin = _after(history, low, faces, len(shapes[0]))
+    return kept, thin, float(_distances(shapes[0], faces, shapes[0][kept], thin, rng).max())
+
+
+def _collapse_all(shapes: np.ndarray, faces: np.ndarray, limit: float) -> list[tuple[int, int]]:
+    """Every collapse (gone, onto) that is legal, cheapest first."""
+    points = shapes.transpose(1, 0, 2)  # (v, m, 3)
+    homogeneous = np.concatenate([points, np.ones((*points.shape[:2], 1))], axis=2)
+    quadrics = _quadrics(points, faces)
+    rings, around = _rings(faces, len(points))
+    faces = faces.copy()
+    stamp = np.zeros(len(points), dtype=int)
+    heap: list[tuple[float, int, int, int, int]] = []
+
+    def push(pairs: np.ndarray) -> None:
+        both = quadrics[pairs[:, 0]] + quadrics[pairs[:, 1]]
+        end = homogeneous[pairs[:, 1]]
+        cost = np.einsum("emi,emij,emj->e", end, both, end)
+        # Between equals the shorter edge goes first, or flat parts would be cut into needles.
+        length = np.linalg.norm(points[pairs[:, 0], 0] - points[pairs[:, 1], 0], axis=1)
+        cost = cost / len(shapes) + 1e-6 * length**4
+        for (i, j), c in zip(pairs.tolist(), cost.tolist(), strict=True):
+            heapq.heappush(heap, (c, i, j, int(stamp[i]), int(stamp[j])))
+
+    push(np.array([(i, j) for i, ring in enumerate(rings) for j in ring]))
+    history: list[tuple[int, int]] = []
+    while heap:
+        _, i, j, stamp_i, stamp_j = heapq.heappop(heap)
+        if stamp[i] != stamp_i or stamp[j] != stamp_j or len(rings[i] & rings[j]) != 2:
+            continue
+        if not _legal(points, faces, around[i] - around[j], i, j, rings[i], limit):
+            continue
+        history.append((i, j))
+        gone = around[i] & around[j]
+        for face in around[i] - gone:
+            faces[face][faces[face] == i] = j
+            around[j].add(face)
+        for face in gone:
+            for vertex in faces[face]:
+                around[vertex].discard(face)
+        for neighbour in rings[i]:
+            rings[neighbour].discard(i)
+            if neighbour != j:
+                rings[neighbour].add(j)
+                rings[j].add(neighbour)
+        quadrics[j] += quadrics[i]
+        stamp[i] += 1
+        stamp[j] += 1
+        ring = np.fromiter(rings[j], dtype=int)
+        own = np.full(len(ring), j)
+        push(np.concatenate([np.stack([ring, own], 1), np.stack([own, ring], 1)]))
+    return history
+
+
+def _quadrics(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Area-weighted plane quadrics (v, m, 4, 4)."""
+    corners = points[faces]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    area = np.linalg.norm(cross, axis=2, keepdims=True)
+    normal = cross / np.maximum(area, 1e-300)
+    plane = np.concatenate([normal, -(normal * corners[:, 0]).sum(axis=2, keepdims=True)], axis=2)
+    each = np.einsum("fmi,fmj->fmij", plane, plane) * (area[..., None] / 6)
+    quadrics = np.zeros((len(points), points.shape[1], 4, 4))
+    for corner in range(3):
+        np.add.at(quadrics, faces[:, corner], each)
+    return quadrics
+
+
+def _legal(points, faces, index: set[int], i: int, j: int, ring: set[int], limit: float) -> bool:
+    """Whether the faces that survive keep their side in each shape, and their edges stay short."""
+    others = np.fromiter(ring, dtype=int)
+    if (np.linalg.norm(points[others, 0] - points[j, 0], axis=1) > limit).any():
+        return False
+    old = faces[np.fromiter(index, dtype=int)]
+    new = np.where(old == i, j, old)
+    before, after = points[old], points[new]
+    normal = np.cross(before[:, 1] - before[:, 0], before[:, 2] - before[:, 0])
+    cross = np.cross(after[:, 1] - after[:, 0], after[:, 2] - after[:, 0])
+    area = np.linalg.norm(cross, axis=2)
+    longest = np.linalg.norm(after - np.roll(after, 1, axis=1), axis=3).max(axis=1)
+    if (area[:, 0] < _MIN_HEIGHT * longest[:, 0] ** 2).any():
+        return False
+    return bool(((cross * normal).sum(axis=2) > _MAX_TURN * area * np.linalg.norm(normal, axis=2)).all())
+
+
+def _after(history: list[tuple[int, int]], count: int, faces: np.ndarray, num: int) -> tuple[np.ndarray, np.ndarray]:
+    """Kept vertices and faces once the first `count` collapses are done."""
+    onto = np.arange(num)
+    for i, j in reversed(history[:count]):
+        onto[i] = onto[j]
+    faces = onto[faces]
+    alive = (faces[:, 0] != faces[:, 1]) & (faces[:, 1] != faces[:, 2]) & (faces[:, 2] != faces[:, 0])
+    kept, inverse = np.unique(faces[alive], return_inverse=True)
+    return kept, inverse.reshape(-1, 3)
+
+
+def _fits(shapes, faces, kept, thin, rng: np.random.Generator, config: ResampleConfig) -> bool:
+    if _distances(shapes[0], faces, shapes[0][kept], thin, rng).max() > config.max_error_m:
+        return False
+    if len(crossing_faces(shapes[0][kept], thin)) or not trimesh.Trimesh(shapes[0][kept], thin, process=False).is_volume:
+        return False
+    return all(
+        np.percentile(_distances(shape, faces, shape[kept], thin, rng), 99) <= config.max_mode_error_m
+        for shape in shapes[1:]
+    )
+
+
+def _distances(dense: np.ndarray, faces: np.ndarray, points: np.ndarray, thin: np.ndarray, rng) -> np.ndarray:
+    """Distances (v + f,) m from the dense vertices and face centres to the thinned surface."""
+    from_points = np.concatenate([dense, dense[faces].mean(axis=1)])
+    surface = Surface(trimesh.Trimesh(points, thin, process=False), rng, count=12000)
+    return np.linalg.norm(surface.closest(from_points)[0] - from_points, axis=1)

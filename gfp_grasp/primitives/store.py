@@ -1,0 +1,126 @@
+"""Primitives on disk: arrays in safetensors, the mean as PLY for looking at, the card as JSON."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import trimesh
+from safetensors import SafetensorError
+from safetensors.numpy import load_file, save_file
+
+from gfp_grasp.assets import data_dir
+from gfp_grasp.errors import AssetMissing, UnknownCategory, UnreadableFile
+from gfp_grasp.types import ConvexPart, GenericPrimitive, Symmetry
+
+_ARRAYS = ("vertices", "faces", "modes", "explained", "log_scale_cov", "coefficient_samples", "up", "regions")
+
+
+def save_primitive(primitive: GenericPrimitive, folder: str | Path) -> Path:
+    """Write <category>.safetensors, .ply and .json.
+
+    Args:
+        primitive: With its card: command, seed, data, figures.
+        folder: Made where it does not exist.
+
+    Returns:
+        Path of the .safetensors file; the card names the sha256 of it.
+    """
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"{primitive.category}.safetensors"
+    save_file(_arrays_of(primitive, ""), path)
+    trimesh.Trimesh(primitive.vertices, primitive.faces, process=False).export(path.with_suffix(".ply"))
+    card = {
+        "category": primitive.category,
+        "licence": primitive.licence,
+        "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
+        **{key: value for key, value in primitive.card.items() if key not in ("category", "licence", "sha256")},
+    }
+    path.with_suffix(".json").write_text(json.dumps(card, indent=1) + "\n", encoding="utf-8")
+    return path
+
+
+@cache
+def load_primitive(category: str) -> GenericPrimitive:
+    """The primitive of a class that ships with the package; read once.
+
+    Raises:
+        UnknownCategory: No such primitive; the message lists those on offer.
+    """
+    if category not in list_primitives():
+        there = ", ".join(list_primitives()) or "none"
+        raise UnknownCategory(f"no primitive for {category!r}: choose one of {there}, or build it (`gfp-grasp gps build`)")
+    return read_primitive(data_dir("gps") / f"{category}.safetensors")
+
+
+def list_primitives() -> tuple[str, ...]:
+    """Classes whose primitives ship with the package, in alphabetical order."""
+    return tuple(sorted(path.stem for path in data_dir("gps").glob("*.safetensors")))
+
+
+def read_primitive(path: str | Path) -> GenericPrimitive:
+    """Read a primitive that `save_primitive` wrote.
+
+    Raises:
+        AssetMissing: The file or its card is not there.
+        UnreadableFile: It is not what save_primitive writes, or the card's sha256 is another file's.
+    """
+    path = Path(path)
+    card_path = path.with_suffix(".json")
+    for part in (path, card_path):
+        if not part.is_file():
+            raise AssetMissing(f"{part} is missing: build the primitive again, or reinstall gfp_grasp")
+    try:
+        card = json.loads(card_path.read_text(encoding="utf-8"))
+        arrays = load_file(path)
+    except (SafetensorError, json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise UnreadableFile(f"{path} is not a primitive with its card ({error}): build it again") from error
+    digest = hashlib.sha256(path.read_bytes()).hexdigest()
+    if card.get("sha256") != digest:
+        raise UnreadableFile(f"{path} has sha256 {digest[:12]}, its card says {str(card.get('sha256'))[:12]}: rebuild it")
+    try:
+        return _from_arrays(arrays, "", card)
+    except KeyError as error:
+        raise UnreadableFile(f"{path} lacks {error}: it is no primitive, or one of an older version") from error
+
+
+def _arrays_of(primitive: GenericPrimitive, prefix: str) -> dict[str, np.ndarray]:
+    arrays = {prefix + name: np.ascontiguousarray(getattr(primitive, name)) for name in _ARRAYS}
+    arrays[prefix + "modes"] = arrays[prefix + "modes"].astype(np.float32)  # a tenth of a micrometre is enough
+    mirror = primitive.symmetry.mirror_normal
+    arrays[prefix + "symmetry"] = np.array(
+        [*primitive.symmetry.axis, primitive.symmetry.order, *(np.full(3, np.nan) if mirror is None else mirror)]
+    )
+    parts = primitive.parts
+    arrays[prefix + "part_sizes"] = np.array([[len(p.vertices), len(p.faces)] for p in parts]).reshape(-1, 2)
+    arrays[prefix + "part_vertices"] = np.concatenate([np.zeros((0, 3)), *(p.vertices for p in parts)])
+    arrays[prefix + "part_faces"] = np.concatenate([np.zeros((0, 3), dtype=np.int64), *(p.faces for p in parts)])
+    if primitive.twin is not None and primitive.twin_map is not None:
+        arrays[prefix + "twin_map"] = np.ascontiguousarray(primitive.twin_map)
+        arrays.update(_arrays_of(primitive.twin, prefix + "twin."))
+    return arrays
+
+
+def _from_arrays(arrays: dict[str, np.ndarray], prefix: str, card: dict) -> GenericPrimitive:
+    values = arrays[prefix + "symmetry"]
+    order = math.inf if math.isinf(values[3]) else int(values[3])
+    symmetry = Symmetry(values[:3], order, None if np.isnan(values[4:]).any() else values[4:])
+    ends = np.cumsum(arrays[prefix + "part_sizes"], axis=0)
+    vertices = np.split(arrays[prefix + "part_vertices"], ends[:-1, 0]) if len(ends) else []
+    faces = np.split(arrays[prefix + "part_faces"], ends[:-1, 1]) if len(ends) else []
+    has_twin = prefix + "twin_map" in arrays
+    return GenericPrimitive(
+        category=card["category"],
+        **{name: arrays[prefix + name] for name in _ARRAYS},
+        symmetry=symmetry,
+        parts=tuple(ConvexPart(v, f) for v, f in zip(vertices, faces, strict=True)),
+        twin=_from_arrays(arrays, prefix + "twin.", card) if has_twin else None,
+        twin_map=arrays[prefix + "twin_map"] if has_twin else None,
+        licence=card["licence"],
+        card=card,
+    )
