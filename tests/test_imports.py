@@ -18,7 +18,7 @@ ROWS = (
     ("observation", "primitives", "detect", "register", "deform", "grasps"),
     ("complete", "completers", "export", "scenes", "datasets", "captures"),
     ("envs", "train"),
-    ("score", "bench", "cli", "demo"),
+    ("report", "score", "bench", "cli", "demo"),
 )
 ROW_OF = {room: row for row, rooms in enumerate(ROWS) for room in rooms}
 # A prefix of the module's name under gfp_grasp, for each library that is slow to load or can crash.

@@ -1,0 +1,71 @@
+"""`gfp-grasp bench`: the figures of the README, measured."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gfp_grasp.cli.terminal import JsonFile, Limit, Objects, Seed, Split, Workers, err, out, save_json, table, track
+
+bench = typer.Typer(name="bench", help="Measure detection and completion.", no_args_is_help=True)
+
+
+@bench.command()
+def completion(
+    objects: Objects,
+    methods: Annotated[str | None, typer.Option(help="Names with commas between; left out, all.")] = None,
+    views: Annotated[int, typer.Option(min=1, help="Of each object.")] = 16,
+    split: Split = "test",
+    limit: Limit = None,
+    given: Annotated[bool, typer.Option("--given-category", help="Tell the methods the true class.")] = False,
+    noise_m: Annotated[float, typer.Option(min=0.0, help="Standard deviation of the depth noise.")] = 0.001,
+    workers: Workers = 1,
+    json_file: JsonFile = None,
+    seed: Seed = 0,
+) -> None:
+    """Chamfer distance and F-score of completions against the truth, on random views."""
+    from gfp_grasp.bench.completion import METHODS, CompletionBench, bench_completion
+
+    chosen = tuple(methods.split(",")) if methods else METHODS
+    config = CompletionBench(views, seed, split, limit, given, noise_m)
+    report = bench_completion(objects, methods=chosen, config=config, workers=workers, progress=track("views"))
+    rows = report["rows"]
+    assert isinstance(rows, Mapping)
+    for category, figures in rows.items():
+        table(
+            ("method", "CD, mm", "F at 5 mm", "ms", "views", "failed"),
+            [(name, *_figures(row)) for name, row in figures.items()],
+            title=str(category),
+        )
+    save_json(json_file, report)
+
+
+@bench.command()
+def detection(
+    data: Annotated[Path | None, typer.Option(help="Folder with captures/, for real tables.")] = None,
+    views: Annotated[int, typer.Option(min=1, help="Of each procedural shape.")] = 4,
+    workers: Workers = 1,
+    json_file: JsonFile = None,
+) -> None:
+    """Objects found on tables, and classes told apart."""
+    from gfp_grasp.bench.detection import measure
+
+    with err.status("detecting ..."):
+        report = measure(data, num_views=views, workers=workers)
+    out.print_json(json.dumps(report))
+    save_json(json_file, report)
+
+
+def _figures(row: Mapping) -> tuple[str, ...]:
+    millimetres = row.get("cd_m")
+    cd = "" if millimetres is None else f"{1000 * millimetres:.2f}"
+    score, time_ms = row.get("f_score"), row.get("ms")
+    return (
+        cd,
+        "" if score is None else f"{score:.3f}",
+        "" if time_ms is None else f"{time_ms:.0f}",
+        str(row.get("views", "")),
+        str(row.get("failed", "")),
+    )

@@ -1,0 +1,92 @@
+"""`gfp-grasp complete` and `gfp-grasp decompose`: files in, files out."""
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from gfp_grasp.cli.terminal import Seed, err, out, table, vector
+from gfp_grasp.errors import InvalidOption
+from gfp_grasp.export import SUFFIXES
+
+
+def complete(
+    cloud: Annotated[Path, typer.Argument(help=".npy .ply .pcd .xyz .txt .csv .obj cloud, or .npz capture; metres.")],
+    output: Annotated[
+        list[Path], typer.Option("--output", "-o", help=".obj .ply .stl .glb, .xml (MJCF) or .urdf; may be repeated.")
+    ],
+    viewpoint: Annotated[str | None, typer.Option(help="Where the camera stood, x,y,z in metres.")] = None,
+    up: Annotated[str | None, typer.Option(help="Normal of the support, x,y,z, or auto; z if left out.")] = None,
+    support_height: Annotated[float | None, typer.Option(help="Height of the support along up, metres.")] = None,
+    category: Annotated[str | None, typer.Option(help="Class of the object; left out, it is found.")] = None,
+    seed: Seed = 0,
+) -> None:
+    """Complete the object of a cloud, or every object of a depth picture. Several objects get numbered files."""
+    from gfp_grasp.captures import complete_capture, read_capture
+
+    check_suffixes(output)
+    capture = read_capture(cloud)
+    given: dict[str, object] = {}
+    if viewpoint is not None:
+        given["viewpoint"] = np.array(vector(viewpoint, "viewpoint"))
+    if up is not None:
+        given["up"] = None if up == "auto" else np.array(vector(up, "up"))
+    if support_height is not None:
+        given["support_height"] = support_height
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", UserWarning)
+        completions = complete_capture(replace(capture, **given), category=category, seed=seed)
+    for warning in caught:
+        err.print(f"note: {warning.message}", style="yellow", markup=False, soft_wrap=True)
+    rows = []
+    for number, completion in enumerate(completions):
+        for path in output:
+            completion.export(path if len(completions) == 1 else path.with_stem(f"{path.stem}_{number}"))
+        size_mm = " x ".join(f"{1000 * extent:.0f}" for extent in completion.mesh.extents)
+        score = f"{completion.scores.get(completion.category, float('nan')):.2f}"
+        seen, parts = f"{completion.observed.mean():.0%}", str(len(completion.parts))
+        milliseconds = f"{1000 * sum(completion.timings_s.values()):.0f}"
+        rows.append((completion.category, score, size_mm, seen, parts, milliseconds))
+    table(("class", "score", "size, mm", "seen", "parts", "time, ms"), rows)
+
+
+def decompose(
+    mesh: Annotated[Path, typer.Argument(help="Mesh file: OBJ, STL, PLY, GLB or OFF, metres.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help=".xml (MJCF), .urdf, or a mesh of all parts.")],
+    seed: Seed = 0,
+) -> None:
+    """Split a mesh into convex parts with CoACD, for a simulator."""
+    import trimesh
+
+    from gfp_grasp.collision import DecomposeConfig
+    from gfp_grasp.collision import decompose as split
+    from gfp_grasp.export import export_completion
+    from gfp_grasp.meshes import load_mesh
+
+    check_suffixes([output])
+    solid = load_mesh(mesh)
+    with err.status("CoACD ..."):
+        collision = split(solid, config=DecomposeConfig(seed=seed))
+    parts = [part.to_trimesh() for part in collision.parts]
+    if output.suffix in (".xml", ".urdf"):
+        export_completion(solid, parts, output, name=mesh.stem)
+    else:
+        export_completion(trimesh.util.concatenate(parts), parts, output)  # pyright: ignore[reportArgumentType]
+    mean, high, largest = (f"{1000 * error:.2f}" for error in collision.error_m)
+    errors = f"{mean} mm on average, {high} mm for 95 %, {largest} mm at most"
+    out.print(f"{len(parts)} parts in {collision.seconds:.1f} s; off the mesh by {errors}")
+
+
+def check_suffixes(paths: Sequence[Path]) -> None:
+    """Refuse a file that could not be written, before any work is done for it.
+
+    Raises:
+        InvalidOption: Of an unknown suffix.
+    """
+    for path in paths:
+        if path.suffix.lower() not in SUFFIXES:
+            raise InvalidOption(f"{path}: suffix {path.suffix!r} is not among {', '.join(SUFFIXES)}")

@@ -1,0 +1,47 @@
+"""`gfp-grasp score`: what a completer's grasps do to the true object."""
+
+from typing import Annotated
+
+import typer
+
+from gfp_grasp.cli.terminal import JsonFile, Limit, Objects, Seed, Split, Workers, table, track
+
+COMPLETERS = "observed,mirror,registration,gfpnet,oracle"
+
+
+def score(
+    objects: Objects,
+    completers: Annotated[
+        str, typer.Option(help="With commas between; your own: module:function.")
+    ] = COMPLETERS,
+    views: Annotated[int, typer.Option(min=1, help="Of each object.")] = 4,
+    split: Split = "test",
+    limit: Limit = None,
+    classes: Annotated[str | None, typer.Option(help="Of the folder's objects, with commas between; * is all.")] = None,
+    workers: Workers = 1,
+    json_file: JsonFile = None,
+    seed: Seed = 0,
+) -> None:
+    """Try the best grasp of each completer in the simulator, on the true object and on what was completed.
+
+    `observed` (the hull of the seen points) is the bracket below, `oracle` (the true mesh) the one above.
+    """
+    from gfp_grasp.score import score as run
+
+    report = run(
+        objects,
+        tuple(completers.split(",")),
+        views=views,
+        seed=seed,
+        split=split,
+        limit=limit,
+        classes=classes.split(",") if classes else None,
+        workers=workers,
+        progress=track("trials"),
+    )
+    rows = report.table()
+    headings = tuple(rows[0])
+    table(headings, [tuple(row.values()) for row in rows], words=1)
+    if json_file is not None:
+        json_file.parent.mkdir(parents=True, exist_ok=True)
+        report.write(json_file)

@@ -1,0 +1,79 @@
+"""What the commands share: consoles, progress bars, options that several of them have."""
+
+import json
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import Annotated, TypeVar
+
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.table import Table
+
+from gfp_grasp.errors import InvalidOption
+
+Result = TypeVar("Result")
+Track = Callable[[Iterable[Result], int], Iterable[Result]]
+
+Seed = Annotated[int, typer.Option(min=0, help="Of every random choice; the same seed gives the same answer.")]
+Workers = Annotated[int, typer.Option(min=0, help="Processes; 0 is one a core.")]
+Limit = Annotated[int | None, typer.Option(min=1, help="At most so many objects (of each family).")]
+Split = Annotated[str, typer.Option(help="Of the procedural families: train, val or test.")]
+Objects = Annotated[str, typer.Option(help="Family (cup, mug, bottle; several: cup,mug), mesh file or folder.")]
+JsonFile = Annotated[Path | None, typer.Option("--json", dir_okay=False, help="Write all figures to this file.")]
+
+out = Console()
+err = Console(stderr=True)
+
+
+def say_error(message: str) -> None:
+    """One line on stderr."""
+    err.print(" ".join(message.split()), style="red", markup=False, highlight=False, soft_wrap=True)
+
+
+def track(description: str) -> Track:
+    """A progress bar on stderr around a stream of results."""
+
+    def wrap(results: Iterable[Result], total: int) -> Iterator[Result]:
+        columns = (TextColumn("{task.description}"), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
+        with Progress(*columns, TimeRemainingColumn(), console=err) as progress:
+            task = progress.add_task(description, total=total)
+            for result in results:
+                progress.advance(task)
+                yield result
+
+    return wrap
+
+
+def table(headings: Sequence[str], rows: Iterable[Sequence[str]], *, title: str = "", words: int = 1) -> None:
+    """Print a table whose first `words` columns are words and whose others are figures."""
+    made = Table(title=title or None, title_justify="left", header_style="bold")
+    for i, heading in enumerate(headings):
+        made.add_column(heading, justify="left" if i < words else "right")
+    for row in rows:
+        made.add_row(*row)
+    out.print(made)
+
+
+def vector(text: str | None, name: str) -> list[float] | None:
+    """Three numbers from "x,y,z".
+
+    Raises:
+        InvalidOption: Something else.
+    """
+    if text is None:
+        return None
+    try:
+        numbers = [float(word) for word in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != 3:
+        raise InvalidOption(f"--{name} is {text!r}; three numbers are expected, e.g. 0.3,-0.2,0.5")
+    return numbers
+
+
+def save_json(path: Path | None, content: object) -> None:
+    """Write figures to the file that the user named, if any."""
+    if path is not None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
