@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import trimesh
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 from trimesh.ray.ray_pyembree import RayMeshIntersector
 
 from gfp_grasp.errors import InvalidCloud, InvalidMesh, InvalidOption
@@ -100,7 +100,8 @@ def iou(mesh_a: trimesh.Trimesh, mesh_b: trimesh.Trimesh) -> float:
     for name, mesh in (("mesh_a", mesh_a), ("mesh_b", mesh_b)):
         if not mesh.is_volume:
             raise InvalidMesh(f"{name} is not a closed volume, so it has no inside: see meshes.make_solid")
-    common = float(trimesh.boolean.intersection([mesh_a, mesh_b], engine="manifold").volume)
+    overlap = trimesh.boolean.intersection([mesh_a, mesh_b], engine="manifold")
+    common = float(overlap.volume) if len(overlap.faces) else 0.0
     return common / (float(mesh_a.volume) + float(mesh_b.volume) - common)
 
 
@@ -176,7 +177,7 @@ def _frames(normals: np.ndarray, turns: np.ndarray) -> np.ndarray:
 
 def _nearest_m(a: np.ndarray, b: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     a, b = _points(a, "a"), _points(b, "b")
-    return np.asarray(cKDTree(b).query(a)[0]), np.asarray(cKDTree(a).query(b)[0])
+    return np.asarray(KDTree(b).query(a)[0]), np.asarray(KDTree(a).query(b)[0])
 
 
 def _points(points: np.ndarray, name: str) -> np.ndarray:

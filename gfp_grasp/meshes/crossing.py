@@ -42,17 +42,7 @@ def _box_overlaps(corners: np.ndarray, faces: np.ndarray) -> Iterator[np.ndarray
     """Batches (b, 2) of pairs whose boxes overlap and that share no vertex, each pair once."""
     low, high = corners.min(axis=1), corners.max(axis=1)
     first_cell, last_cell = _grid(low, high)
-    spans = last_cell - first_cell + 1
-    counts = spans.prod(axis=1)
-    face = np.repeat(np.arange(len(faces)), counts)
-    step = _ramps(counts)
-    span = spans[face]
-    offset = np.stack([step // (span[:, 1] * span[:, 2]), step // span[:, 2] % span[:, 1], step % span[:, 2]], axis=1)
-    cell = first_cell[face] + offset
-    shape = last_cell.max(axis=0) + 1
-    key = (cell[:, 0] * shape[1] + cell[:, 1]) * shape[2] + cell[:, 2]
-    order = np.argsort(key, kind="stable")
-    face, key, cell = face[order], key[order], cell[order]
+    face, cell, key = _entries(first_cell, last_cell)
     # Within a cell, each entry is paired with those after it.
     partners = np.searchsorted(key, key, side="right") - np.arange(len(key)) - 1
     ends = np.cumsum(partners)
@@ -61,20 +51,28 @@ def _box_overlaps(corners: np.ndarray, faces: np.ndarray) -> Iterator[np.ndarray
         stop = max(start + 1, int(np.searchsorted(ends, (ends[start - 1] if start else 0) + _BATCH)))
         left = np.repeat(np.arange(start, min(stop, len(key))), partners[start:stop])
         right = left + 1 + _ramps(partners[start:stop])
-        yield _once(left, right, face, cell, first_cell, low, high, faces)
+        a, b = face[left], face[right]
+        keep = ((low[a] <= high[b]) & (low[b] <= high[a])).all(axis=1)
+        a, b, left = a[keep], b[keep], left[keep]
+        # Two faces meet in many cells; the first cell of their overlap speaks for the pair.
+        keep = (np.maximum(first_cell[a], first_cell[b]) == cell[left]).all(axis=1)
+        a, b = a[keep], b[keep]
+        keep = ~(faces[a][:, :, None] == faces[b][:, None, :]).any(axis=(1, 2))
+        yield np.sort(np.stack([a[keep], b[keep]], axis=1), axis=1)
         start = stop
 
 
-def _once(left, right, face, cell, first_cell, low, high, faces) -> np.ndarray:
-    """Pairs of grid entries, kept where the boxes overlap, no vertex is shared and this is the pair's own cell."""
-    a, b = face[left], face[right]
-    keep = ((low[a] <= high[b]) & (low[b] <= high[a])).all(axis=1)
-    a, b, left = a[keep], b[keep], left[keep]
-    # Two faces meet in many cells; the first cell of their overlap speaks for the pair.
-    keep = (np.maximum(first_cell[a], first_cell[b]) == cell[left]).all(axis=1)
-    a, b = a[keep], b[keep]
-    keep = ~(faces[a][:, :, None] == faces[b][:, None, :]).any(axis=(1, 2))
-    return np.sort(np.stack([a[keep], b[keep]], axis=1), axis=1)
+def _entries(first_cell: np.ndarray, last_cell: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Each face in each cell that its box meets, sorted by cell: face (e,), cell (e, 3) and the cell's key (e,)."""
+    spans = last_cell - first_cell + 1
+    counts = spans.prod(axis=1)
+    face = np.repeat(np.arange(len(counts)), counts)
+    step, span = _ramps(counts), spans[face]
+    offset = np.stack([step // (span[:, 1] * span[:, 2]), step // span[:, 2] % span[:, 1], step % span[:, 2]], axis=1)
+    cell, shape = first_cell[face] + offset, last_cell.max(axis=0) + 1
+    key = (cell[:, 0] * shape[1] + cell[:, 1]) * shape[2] + cell[:, 2]
+    order = np.argsort(key, kind="stable")
+    return face[order], cell[order], key[order]
 
 
 def _grid(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

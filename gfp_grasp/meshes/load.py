@@ -7,6 +7,7 @@ import re
 import struct
 import zlib
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -21,6 +22,7 @@ _READER_ERRORS = (
     AssertionError,
     AttributeError,
     EOFError,
+    ImportError,  # trimesh guesses the encoding of stray bytes with a package that need not be there
     LookupError,
     MemoryError,
     NameError,
@@ -97,7 +99,7 @@ def _parse(content: bytes, suffix: str) -> trimesh.Trimesh:
     if suffix == "off":
         # Part of ModelNet's files write the counts behind the magic word, on one line.
         content = re.sub(rb"^(\s*C?OFF)(?=\d)", rb"\1\n", content, count=1)
-    options = {"skip_materials": True} if suffix == "obj" else {}
+    options: dict[str, Any] = {"skip_materials": True} if suffix == "obj" else {}
     loaded = trimesh.load_scene(io.BytesIO(content), file_type=suffix, process=False, **options)
     mesh = loaded.to_mesh()
     mesh = trimesh.Trimesh(np.array(mesh.vertices), np.array(mesh.faces), process=False, validate=False)

@@ -6,7 +6,7 @@ import manifold3d
 import numpy as np
 import trimesh
 from scipy import ndimage
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from gfp_grasp.meshes.crossing import crossing_faces
 from gfp_grasp.meshes.surface import sample_surface, vertex_normals
@@ -31,8 +31,10 @@ def remeshed(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     origin = mesh.bounds[0] - 4 * cell
     shape = np.ceil((mesh.extents + 8 * cell) / cell).astype(int) + 1
     distance = _distances(mesh, origin, cell, shape, reach=3 * cell)
-    pieces, _ = ndimage.label(distance > half_wall)
-    sealed = (distance > half_wall) & (pieces != pieces[0, 0, 0])
+    clear = distance > half_wall
+    pieces = np.empty(clear.shape, dtype=np.int32)
+    ndimage.label(clear, output=pieces)
+    sealed = clear & (pieces != pieces[0, 0, 0])
     vertices, faces = _level(np.where(sealed, -half_wall, distance - half_wall))
     solid = _thinned(origin + cell * vertices, faces, cell)
     return _set_back(solid, sealed, origin, cell, half_wall)
@@ -47,9 +49,9 @@ def _distances(
     samples = np.concatenate([samples, np.asarray(mesh.vertices)[np.unique(mesh.faces)]])
     near = np.zeros(tuple(shape), dtype=bool)
     near[tuple(np.round((samples - origin) / cell).astype(int).T)] = True
-    near = ndimage.binary_dilation(near, iterations=4)
+    near = np.asarray(ndimage.binary_dilation(near, iterations=4), dtype=bool)
     distance = np.full(tuple(shape), reach)
-    found, _ = cKDTree(samples).query(np.argwhere(near) * cell + origin, distance_upper_bound=reach)
+    found, _ = KDTree(samples).query(np.argwhere(near) * cell + origin, distance_upper_bound=reach)
     distance[near] = np.minimum(found, reach)
     return distance
 
@@ -58,15 +60,17 @@ def _level(field: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Zero level of a field, negative inside, by marching tetrahedra: vertices in cells, faces outward."""
     inside = field < 0
     corner = np.stack([np.arange(8) & 1, np.arange(8) >> 1 & 1, np.arange(8) >> 2], axis=1)
-    blocks = [inside[tuple(slice(c, s - 1 + c) for c, s in zip(step, field.shape, strict=True))] for step in corner]
+    x, y, z = inside.shape
+    blocks = [inside[i : x - 1 + i, j : y - 1 + j, k : z - 1 + k] for i, j, k in corner]
     mixed = np.argwhere(np.any(blocks, axis=0) & ~np.all(blocks, axis=0))
-    point = np.ravel_multi_index((mixed[:, None] + corner[None]).transpose(2, 0, 1), field.shape)
+    strides = np.array([y * z, z, 1])
+    point = (mixed @ strides)[:, None] + (corner @ strides)[None]
     tetrahedra = point[:, _TETRAHEDRA].reshape(-1, 4)
     state = inside.ravel()[tetrahedra]
     # Inner corners first; then one, two or three of them give a triangle, a quad or a triangle.
     tetrahedra = np.take_along_axis(tetrahedra, np.argsort(~state, axis=1, kind="stable"), axis=1)
-    number = state.sum(axis=1)
-    one, two, three = (tetrahedra[number == n] for n in (1, 2, 3))
+    number = np.count_nonzero(state, axis=1)
+    one, two, three = tetrahedra[number == 1], tetrahedra[number == 2], tetrahedra[number == 3]
     triangles = np.concatenate(
         [
             one[:, [[0, 1], [0, 2], [0, 3]]],

@@ -25,7 +25,7 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     repeated = np.repeat(weighted, 3, axis=0)
     normals = np.stack([np.bincount(index, repeated[:, i], minlength=len(vertices)) for i in range(3)], axis=1)
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
-    return np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0)
+    return np.divide(normals, lengths, out=np.zeros(normals.shape), where=lengths > 0)
 
 
 def sample_surface(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import trimesh
+from numpy.typing import ArrayLike
 
 from gfp_grasp.shapes.curves import thinned
 
@@ -13,7 +14,9 @@ _PROFILE_TOLERANCE = 7e-5
 _LONGEST_STEP = 0.009
 
 
-def rows(radius: np.ndarray, height: np.ndarray, *, aspect: np.ndarray | float = 1.0, power: np.ndarray | float = 2.0):
+def rows(
+    radius: ArrayLike, height: ArrayLike, *, aspect: np.ndarray | float = 1.0, power: np.ndarray | float = 2.0
+) -> np.ndarray:
     """Ring rows (n, 4): half-widths along x and y (m), height (m), superellipse power (2 is an ellipse)."""
     radius, height = np.asarray(radius, dtype=np.float64), np.asarray(height, dtype=np.float64)
     return np.stack([radius, radius * aspect, height, np.broadcast_to(power, radius.shape)], axis=1)

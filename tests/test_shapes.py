@@ -1,0 +1,144 @@
+"""Procedural cups, mugs and bottles."""
+
+import time
+from itertools import combinations
+
+import numpy as np
+import pytest
+import trimesh
+
+from gfp_grasp.errors import InvalidOption, UnknownCategory
+from gfp_grasp.meshes import crossing_faces, sample_surface
+from gfp_grasp.shapes import FAMILIES, SPLITS, make_shape, split_seeds
+
+HEIGHTS_M = {"cup": (0.045, 0.21), "mug": (0.065, 0.135), "bottle": (0.055, 0.37)}
+SEEDS = tuple(range(24))
+
+
+@pytest.fixture(scope="module")
+def shapes():
+    return {family: [make_shape(family, seed) for seed in SEEDS] for family in FAMILIES}
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_every_shape_is_one_closed_volume_of_the_right_genus(family, shapes):
+    for shape in shapes[family]:
+        mesh = shape.mesh
+        assert mesh.is_volume, shape.name
+        assert mesh.body_count == 1, shape.name
+        assert mesh.euler_number == (0 if shape.has_handle else 2), shape.name
+        assert len(crossing_faces(mesh.vertices, mesh.faces)) == 0, shape.name
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_every_shape_is_metric_upright_and_stands_at_the_origin(family, shapes):
+    low, high = HEIGHTS_M[family]
+    for shape in shapes[family]:
+        bounds = shape.mesh.bounds
+        assert bounds[0, 2] == pytest.approx(0.0, abs=1e-9), shape.name
+        assert low < bounds[1, 2] < high, shape.name
+        assert shape.mesh.extents[:2].max() < 0.19, shape.name
+        standing = shape.mesh.vertices[shape.mesh.vertices[:, 2] < 0.003]
+        middle = (standing.min(axis=0) + standing.max(axis=0)) / 2
+        np.testing.assert_allclose(middle[:2], 0.0, atol=0.001, err_msg=shape.name)
+
+
+def test_the_same_seed_gives_the_same_shape_and_others_differ(shapes):
+    for family in FAMILIES:
+        np.testing.assert_array_equal(make_shape(family, 5).mesh.vertices, shapes[family][5].mesh.vertices)
+        extents = np.array([shape.mesh.extents for shape in shapes[family]])
+        assert min(np.abs(a - b).max() for a, b in combinations(extents, 2)) > 1e-5
+        assert extents[:, 2].std() > 0.1 * extents[:, 2].mean()
+
+
+def test_a_mug_has_its_handle_towards_plus_x(shapes):
+    for shape in shapes["mug"]:
+        (left, _, _), (right, _, _) = shape.mesh.bounds
+        assert shape.has_handle
+        assert right + left > 0.015, shape.name
+        handle = shape.mesh.vertices[shape.mesh.vertices[:, 0] > -left + 0.008]
+        assert np.abs(handle[:, 1]).max() < 0.02, shape.name
+
+
+@pytest.mark.parametrize("family", ["cup", "mug"])
+def test_walls_are_as_thick_as_they_say_and_between_1_and_6_mm(family, shapes):
+    for shape in shapes[family]:
+        if shape.wall_m == 0:
+            continue
+        assert 0.001 <= shape.wall_m <= 0.006, shape.name
+        thickness = _thickness(shape.mesh)
+        assert np.median(thickness) == pytest.approx(shape.wall_m, rel=0.15), shape.name
+        assert np.quantile(thickness, 0.02) > 0.0008, shape.name
+
+
+def test_a_mug_is_empty_inside(shapes):
+    for shape in shapes["mug"]:
+        axis = np.zeros((20, 3))
+        axis[:, 2] = np.linspace(0.35, 0.99, 20) * shape.mesh.bounds[1, 2]
+        around = np.linspace(0, 2 * np.pi, 16, endpoint=False)
+        directions = np.stack([np.cos(around), np.sin(around), 0 * around], axis=1)
+        # From the axis outward, the first thing met is the inner wall, on the handle's side as on the others.
+        for height in axis[5:15]:
+            hits, ray, _ = shape.mesh.ray.intersects_location(
+                np.repeat(height[None], 16, axis=0), directions, multiple_hits=False
+            )
+            reach = np.linalg.norm(hits - height, axis=1)[np.argsort(ray)]
+            assert len(reach) == 16, shape.name
+            assert abs(reach[0] - reach[8]) < 0.001, shape.name
+        assert not shape.mesh.contains(axis).any(), shape.name
+
+
+def test_all_variants_come_up_in_the_training_split():
+    kinds = {
+        family: {make_shape(family, seed).kind for seed in split_seeds(family, "train")[:40]} for family in FAMILIES
+    }
+    assert kinds["mug"] == {"round", "d", "ear", "square"}
+    assert kinds["cup"] == {"tapered", "straight", "bulged", "square", "stemmed", "footed", "lidded"}
+    assert len(kinds["bottle"]) >= 8
+
+
+def test_splits_are_disjoint_and_large():
+    for family in FAMILIES:
+        train, val, test = (split_seeds(family, split) for split in SPLITS)
+        assert (len(train), len(val), len(test)) == (400, 60, 60)
+        assert len({*train, *val, *test}) == 520
+
+
+def test_unknown_families_and_splits_are_refused_with_what_is_legal():
+    with pytest.raises(UnknownCategory, match="cup, mug, bottle"):
+        make_shape("car", 0)
+    with pytest.raises(UnknownCategory, match="cup, mug, bottle"):
+        split_seeds("car", "train")
+    with pytest.raises(InvalidOption, match="train, val, test"):
+        split_seeds("cup", "dev")
+
+
+def test_shapes_are_made_in_a_fraction_of_a_second():
+    started = time.perf_counter()
+    for family in FAMILIES:
+        for seed in range(10):
+            make_shape(family, seed)
+    assert (time.perf_counter() - started) / 30 < 0.15
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("family", FAMILIES)
+@pytest.mark.parametrize("split", SPLITS)
+def test_all_shapes_of_the_splits_are_sound(family, split):
+    for seed in split_seeds(family, split):
+        shape = make_shape(family, seed)
+        assert shape.mesh.is_volume, shape.name
+        assert shape.mesh.euler_number == (0 if shape.has_handle else 2), shape.name
+        assert len(crossing_faces(shape.mesh.vertices, shape.mesh.faces)) == 0, shape.name
+
+
+def _thickness(mesh: trimesh.Trimesh) -> np.ndarray:
+    """Way m through the material below samples of the sides of a vessel, away from its floor and rim."""
+    points, normals, _ = sample_surface(mesh, 1500, np.random.default_rng(0))
+    tall = mesh.bounds[1, 2]
+    level = (np.abs(normals[:, 2]) < 0.3) & (points[:, 2] > 0.4 * tall) & (points[:, 2] < 0.9 * tall)
+    # Away from the handle.
+    level &= points[:, 0] < 0.3 * np.abs(mesh.bounds[0, 0])
+    points, normals = points[level], normals[level]
+    hits, ray, _ = mesh.ray.intersects_location(points - 1e-5 * normals, -normals, multiple_hits=False)
+    return np.linalg.norm(hits - points[ray], axis=1)
