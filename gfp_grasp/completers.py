@@ -72,7 +72,7 @@ def completer(name: str) -> Completer | Oracle:
 
 
 class Oracle:
-    """The true mesh as its own completion: the upper bracket. It alone is given the truth, and only by asking for it."""
+    """The true mesh as its own completion: the upper bracket, and the only completer that is given the truth."""
 
     needs_truth = True
 

@@ -38,8 +38,13 @@ def cylinder(radius_m=0.03, height_m=0.12):
 
 def cup(radius_m=0.05, wall_m=0.003, height_m=0.1):
     profile = [
-        (0, 0), (radius_m, 0), (radius_m, height_m), (radius_m - wall_m, height_m), (radius_m - wall_m, wall_m), (0, wall_m)
-    ]  # fmt: skip
+        (0, 0),
+        (radius_m, 0),
+        (radius_m, height_m),
+        (radius_m - wall_m, height_m),
+        (radius_m - wall_m, wall_m),
+        (0, wall_m),
+    ]
     return trimesh.creation.revolve(profile, sections=64)
 
 

@@ -64,7 +64,8 @@ class EnvConfig:
                 raise InvalidOption(f"{name} is {getattr(self, name)}; zero or more is expected")
         if not -90 < self.elevation_min_deg <= self.elevation_max_deg < 90:
             raise InvalidOption(
-                f"elevations {self.elevation_min_deg} to {self.elevation_max_deg} degrees; -90 < min <= max < 90 is expected"
+                f"elevations are {self.elevation_min_deg} to {self.elevation_max_deg} degrees; "
+                "-90 < min <= max < 90 is expected"
             )
 
     @classmethod

@@ -13,7 +13,7 @@ from gfp_grasp.completers import Completer, Oracle
 from gfp_grasp.detect import detect_objects
 from gfp_grasp.envs.config import EnvConfig
 from gfp_grasp.envs.world import World
-from gfp_grasp.errors import GfpGraspError, NothingDetected
+from gfp_grasp.errors import AssetMissing, GfpGraspError, NothingDetected
 from gfp_grasp.transforms import apply_T, make_T, rotation_about
 from gfp_grasp.types import CollisionMesh, ConvexPart, DepthImage, Detection, TrueObject
 
@@ -77,6 +77,8 @@ def draw_episode(
         try:
             detection = _largest(detect_objects(image, up=_UP))
             completion = _complete(complete, detection, truth, world.T_world_object)
+        except AssetMissing:  # says nothing of the object: the installation is broken
+            raise
         except GfpGraspError as error:
             failure = f"{type(error).__name__}: {error}"
     notes = "; ".join(str(warning.message) for warning in caught if issubclass(warning.category, UserWarning))

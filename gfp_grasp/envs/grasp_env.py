@@ -78,7 +78,7 @@ class GfpGraspEnv(gymnasium.Env[Observation, np.ndarray], EzPickle):
         self.action_code = ActionCode()
         self.settings = TrialSettings()
         self.action_space = spaces.Box(-1.0, 1.0, (NUM_ACTION,), np.float32)
-        self.observation_space = observation_space(self.config)
+        self.observation_space = observation_space(self.config)  # pyright: ignore[reportAttributeAccessIssue]
         self.sources = load_objects(self.config.objects, self.config.split, self.config.limit or None)
         self._complete = completer(self.config.completer)
         self._truths: OrderedDict[int, tuple[TrueObject, World]] = OrderedDict()
@@ -120,7 +120,7 @@ class GfpGraspEnv(gymnasium.Env[Observation, np.ndarray], EzPickle):
         self._episode = draw_episode(truth, world, self._complete, self.config, self.np_random, given=given)
         self._world = self._world_of(self._episode, world)
         self._observation = observe(self._episode, self.config, self.np_random)
-        return self._observation, self._info(None)
+        return _copy(self._observation), self._info(None)
 
     def step(self, action: np.ndarray) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Attempt one grasp."""
@@ -132,7 +132,7 @@ class GfpGraspEnv(gymnasium.Env[Observation, np.ndarray], EzPickle):
         else:
             self._world.restore()
             outcome = run_trial(self._world.model, self._world.data, grasp, self.settings, target=TARGET)
-        return self._observation, float(outcome.success), True, False, self._info(outcome)
+        return _copy(self._observation), float(outcome.success), True, False, self._info(outcome)
 
     def render(self) -> np.ndarray | None:  # pyright: ignore[reportIncompatibleMethodOverride]
         """Picture (240, 320, 3) uint8 of the scene as it stands, shaded by ray casting."""
@@ -186,3 +186,7 @@ class GfpGraspEnv(gymnasium.Env[Observation, np.ndarray], EzPickle):
             "completion_notes": episode.notes,
             "num_observed": 0 if episode.detection is None else len(episode.detection.cloud.points),
         }
+
+
+def _copy(observation: Observation) -> Observation:
+    return {key: array.copy() for key, array in observation.items()}

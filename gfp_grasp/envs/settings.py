@@ -9,8 +9,8 @@ from gfp_grasp.errors import InvalidOption
 class TrialSettings:
     """One attempt, step by step; every outcome carries these numbers.
 
-    1. Approach: from standoff_m behind the grasp, along its z, in approach_s. A contact force above touch_n on anything,
-       or an object pushed by push_m, is `collided_on_approach`.
+    1. Approach: from standoff_m behind the grasp, along its z, in approach_s. A contact force above touch_n on
+       anything, or an object pushed by push_m, is `collided_on_approach`.
     2. Close: the jaws close by grip_ramp_mps, then press until close_s is over, each with grip_n at most. Not both
        pads on the object: `no_contact`.
     3. Lift by lift_m straight up in lift_s, then hold for hold_s.

@@ -1,0 +1,205 @@
+"""What completions are worth: the success of the grasps planned on them, on the true objects and in their own world."""
+
+from __future__ import annotations
+
+import functools
+import time
+import zlib
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+
+import numpy as np
+
+from gfp_grasp.complete import Completion
+from gfp_grasp.completers import COMPLETERS, completer
+from gfp_grasp.envs.grasp_env import GfpGraspEnv
+from gfp_grasp.envs.settings import TrialSettings
+from gfp_grasp.errors import GfpGraspError, InvalidOption
+from gfp_grasp.grasps import plan_grasps
+from gfp_grasp.metrics import CompletionErrors, completion_errors
+from gfp_grasp.parallel import pmap
+from gfp_grasp.primitives import list_primitives
+from gfp_grasp.report import Report, Trial
+from gfp_grasp.scenes import load_objects
+from gfp_grasp.types import Grasp
+
+ALL_CLASSES = "*"
+Progress = Callable[[Iterable[Trial], int], Iterable[Trial]]
+
+
+def score(
+    objects: str | Path,
+    completers: Sequence[str] = COMPLETERS,
+    *,
+    views: int = 4,
+    seed: int = 0,
+    split: str = "test",
+    limit: int | None = None,
+    classes: Sequence[str] | None = None,
+    workers: int = 1,
+    progress: Progress | None = None,
+) -> Report:
+    """Score completers by their grasps.
+
+    Every completer meets the same objects in the same poses, views and sensor noise. On each completion the best
+    planned grasp is attempted by `GfpGraspEnv.step`, once on the true object and once with the completion's convex
+    parts simulated in its place. No completion, or no grasp on it, is a failed attempt (`no_grasp_found`).
+
+    Args:
+        objects: Families ("cup,mug"), a mesh file, or a folder of `<class>__<name>.<suffix>`.
+        completers: Names, see `gfp_grasp.completers.completer`.
+        views: Views of each object.
+        seed: Of poses, views, noise and planning.
+        split: Which seeds of a family.
+        limit: At most so many objects.
+        classes: Keep objects of these classes; None keeps those that have a primitive and those whose class is not
+            known, ("*",) keeps all.
+        workers: Processes; the result does not depend on it.
+        progress: Wraps the stream of trials, told how many there will be.
+
+    Raises:
+        UnknownCompleter: A name that is not on offer.
+        InvalidOption: Objects that are not there, no object of these classes, or views below one.
+    """
+    if views < 1:
+        raise InvalidOption(f"views is {views}; at least 1 is expected")
+    for name in completers:
+        completer(name)
+    kept = _chosen(objects, split, classes, limit)
+    jobs = [
+        _Job(str(objects), split, number, source_name, name, view, seed)
+        for number, source_name in kept
+        for view in range(views)
+        for name in completers
+    ]
+    trials = pmap(_attempt, jobs, workers=workers, progress=progress)
+    settings = {
+        "objects": _label(objects),
+        "split": split,
+        "num_objects": len(kept),
+        "classes": sorted(_classes(classes)),
+        "completers": list(completers),
+        "views": views,
+        "seed": seed,
+        "trial": asdict(TrialSettings()),
+    }
+    return Report(settings, tuple(trials))
+
+
+@dataclass(frozen=True)
+class _Job:
+    """One object, one view, one completer."""
+
+    objects: str
+    split: str
+    number: int
+    object_name: str
+    completer: str
+    view: int
+    seed: int
+
+    @property
+    def episode_seed(self) -> int:
+        """The same for every completer, whatever else is scored."""
+        entropy = [self.seed, zlib.crc32(self.object_name.encode()), self.view]
+        return int(np.random.SeedSequence(entropy).generate_state(1)[0])
+
+
+def _chosen(
+    objects: str | Path, split: str, classes: Sequence[str] | None, limit: int | None
+) -> list[tuple[int, str]]:
+    """Number and name of the objects that are scored."""
+    sources = load_objects(objects, split)
+    wanted = _classes(classes)
+    kept = [(i, s.name) for i, s in enumerate(sources) if ALL_CLASSES in wanted or s.category in wanted]
+    if not kept:
+        found = ", ".join(sorted({source.category for source in sources}))
+        raise InvalidOption(f"no object is of class {', '.join(sorted(wanted))}; there are: {found}")
+    return kept[:limit]
+
+
+def _classes(classes: Sequence[str] | None) -> set[str]:
+    return {*list_primitives(), ""} if classes is None else set(classes)
+
+
+def _label(objects: str | Path) -> str:
+    """Families as they are, files and folders by their own name: results never hold a path."""
+    return Path(objects).resolve().name if Path(objects).exists() else str(objects)
+
+
+@functools.lru_cache(maxsize=16)
+def _env(objects: str, split: str, completer_name: str, world: str) -> GfpGraspEnv:
+    """One environment a process and completer, so that scenes are compiled once."""
+    return GfpGraspEnv(objects=objects, split=split, completer=completer_name, world=world)
+
+
+def _attempt(job: _Job) -> Trial:
+    started = time.perf_counter()
+    env = _env(job.objects, job.split, job.completer, "true")
+    _, info = env.reset(seed=job.episode_seed, options={"object": job.number})
+    completed_at = time.perf_counter()
+    grasp, note = None, str(info["completion_error"])
+    if env.completion is not None:
+        grasp, note = _best_grasp(env.completion, job.seed)
+    planned_at = time.perf_counter()
+    true_info, completed_info = _in_both_worlds(env, job, grasp)
+    executed_at = time.perf_counter()
+    errors = _errors(env, job)
+    return Trial(
+        object=job.object_name,
+        category=str(info["category"]),
+        completer=job.completer,
+        view=job.view,
+        episode_seed=job.episode_seed,
+        success=bool(true_info["is_success"]),
+        reason=str(true_info["reason"]),
+        lift_m=float(true_info["lift_m"]),
+        slip_m=float(true_info["slip_m"]),
+        completed_success=bool(completed_info["is_success"]),
+        completed_reason=str(completed_info["reason"]),
+        quality=None if grasp is None else grasp.quality,
+        width_m=None if grasp is None else grasp.width_m,
+        cd_m=None if errors is None else errors.cd_m,
+        f_score=None if errors is None else errors.f_score,
+        note=note,
+        timings_s={
+            "complete": completed_at - started,
+            "plan": planned_at - completed_at,
+            "execute": executed_at - planned_at,
+        },
+    )
+
+
+def _best_grasp(completion: Completion, seed: int) -> tuple[Grasp | None, str]:
+    try:
+        grasps = plan_grasps(completion, 1, seed=seed)
+    except GfpGraspError as error:  # e.g. the completion could not be decomposed
+        return None, f"{type(error).__name__}: {error}"
+    return (grasps[0], "") if grasps else (None, "the planner found no grasp")
+
+
+def _in_both_worlds(
+    env: GfpGraspEnv, job: _Job, grasp: Grasp | None
+) -> tuple[Mapping[str, object], Mapping[str, object]]:
+    """Info of the attempt on the true object and on the completed one."""
+    if grasp is None:
+        nothing = {"is_success": False, "reason": "no_grasp_found", "lift_m": 0.0, "slip_m": 0.0}
+        return nothing, nothing
+    action = env.action_code.encode(grasp)
+    true_info = env.step(action)[4]
+    other = _env(job.objects, job.split, job.completer, "completed")
+    other.reset(seed=job.episode_seed, options={"object": job.number, "completion": env.completion})
+    return true_info, other.step(action)[4]
+
+
+def _errors(env: GfpGraspEnv, job: _Job) -> CompletionErrors | None:
+    episode = env.episode
+    if episode.completion is None:
+        return None
+    truth = episode.truth.mesh.copy()
+    truth.apply_transform(episode.T_world_object)
+    return completion_errors(episode.completion.mesh, truth, rng=np.random.default_rng(job.episode_seed))
+
+
+__all__ = ["ALL_CLASSES", "Report", "Trial", "score"]
