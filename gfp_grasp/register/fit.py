@@ -7,12 +7,16 @@ from typing import Literal
 
 import numpy as np
 
+from gfp_grasp.camera import cast_rays
 from gfp_grasp.errors import FitDiverged, InvalidOption
 from gfp_grasp.register.evidence import Evidence, gather_evidence
 from gfp_grasp.register.modes import ModesConfig, PoseShape, refine
 from gfp_grasp.register.starts import HYPOTHESIS_COST, starts
 from gfp_grasp.transforms import make_T
 from gfp_grasp.types import Detection, FittedPrimitive, GenericPrimitive
+
+# A surface is in front of a point when it is this much nearer: noise and the misfit of the modes are less.
+_HIDDEN_M = 0.012
 
 HYPOTHESES = ("upright", "upside_down", "lying")
 
@@ -84,7 +88,9 @@ def fit_evidence(
         states = correct_starts(states, primitive, evidence)
     states = sorted((refine(s, primitive, evidence, config.quick) for s in states), key=total_cost)
     leaders = _leaders(states, config.keep)
-    refined = sorted((refine(s, primitive, evidence, config.thorough) for s in leaders), key=total_cost)
+    refined = [refine(s, primitive, evidence, config.thorough) for s in leaders]
+    refined = [replace(s, cost=s.cost + _blocking_cost(s, primitive, evidence, config)) for s in refined]
+    refined.sort(key=total_cost)
     best = refined[0]
     if not np.isfinite(best.cost) or best.residual_m > config.max_residual_m:
         raise FitDiverged(
@@ -110,8 +116,27 @@ def total_cost(state: PoseShape) -> float:
     return state.cost + HYPOTHESIS_COST[state.hypothesis]
 
 
+def _blocking_cost(state: PoseShape, primitive: GenericPrimitive, evidence: Evidence, config: FitConfig) -> float:
+    """Cost of a surface that stands between the viewpoint and what was seen from there.
+
+    Without it a cup's inside fits the inside of the same cup turned over, whose bottom hides it. A point that is
+    hidden counts as one that the surface does not explain.
+    """
+    if evidence.viewpoint is None:
+        return 0.0
+    local = primitive.shape(state.coefficients, np.exp(state.log_scale))
+    triangles = (local @ state.R.T + state.t)[primitive.faces]
+    sight = evidence.points - evidence.viewpoint
+    distance, _, _ = cast_rays([triangles], evidence.viewpoint, sight)
+    length = np.linalg.norm(sight, axis=1)
+    blocked = float((distance * length < length - _HIDDEN_M).mean())
+    robust_m, sigma = config.thorough.steps[-1], np.hypot(evidence.sigma_m, config.thorough.misfit_m)
+    return 0.5 * config.thorough.effective_points * blocked * float((robust_m / sigma) ** 2)
+
+
 def _leaders(states: list[PoseShape], keep: int) -> list[PoseShape]:
-    """The best few that are not the same place twice."""
+    """The best few that are not the same place twice, and the best of every hypothesis."""
+    firsts = {s.hypothesis: s for s in reversed(states)}
     chosen: list[PoseShape] = []
     for state in states:
         twin = any(
@@ -124,4 +149,4 @@ def _leaders(states: list[PoseShape], keep: int) -> list[PoseShape]:
             chosen.append(state)
         if len(chosen) == keep:
             break
-    return chosen
+    return chosen + [s for s in firsts.values() if s.hypothesis not in {c.hypothesis for c in chosen}]

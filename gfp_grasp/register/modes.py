@@ -114,6 +114,9 @@ class _Model:
     primitive: GenericPrimitive
     samples: SurfaceSamples
     flat_modes: np.ndarray  # (k, m * 3)
+    point_modes: np.ndarray  # (m, k, 3)
+    corner_vertices: np.ndarray  # (m, 3, 3) of the mean mesh
+    corner_modes: np.ndarray  # (k, m * 9)
     scale_precision: np.ndarray  # (3, 3)
     scale_sigma: np.ndarray  # (3,)
 
@@ -121,11 +124,15 @@ class _Model:
 @lru_cache(maxsize=32)
 def _model(primitive: GenericPrimitive) -> _Model:
     samples = surface_samples(primitive)
+    corners = primitive.faces[samples.face]
     covariance = primitive.log_scale_cov + 1e-4 * np.eye(3)
     return _Model(
         primitive,
         samples,
         samples.modes.reshape(len(samples.modes), -1),
+        np.ascontiguousarray(samples.modes.transpose(1, 0, 2)),
+        primitive.vertices[corners],
+        primitive.modes[:, corners].reshape(len(primitive.modes), -1),
         np.linalg.inv(covariance),
         np.sqrt(np.diag(covariance)),
     )
@@ -143,7 +150,7 @@ def _linearise(
     H, g, cost = np.zeros((9 + k, 9 + k)), np.zeros(9 + k), 0.0
 
     def add(index: np.ndarray, direction: np.ndarray, residual: np.ndarray, weight: np.ndarray) -> None:
-        J = _rows(state, model, local[index], world[index], index, direction)
+        J = np.einsum("ni,nip->np", direction, _derivative(state, model, local[index], world[index], index))
         H.__iadd__(J.T @ (weight[:, None] * J))
         g.__iadd__(J.T @ (weight * residual))
 
@@ -161,9 +168,14 @@ def _linearise(
     squared = across**2 + config.tangential * np.einsum("ni,ni->n", gap, gap)
     robust = 1.0 / (1.0 + squared / robust_m**2)
     weight = share * robust**2 * agrees
-    add(index, normals[index], across, weight)
-    for direction in np.eye(3):
-        add(index, np.broadcast_to(direction, gap.shape), gap @ direction, config.tangential * weight)
+    D = _derivative(state, model, local[index], world[index], index)
+    J = np.einsum("ni,nip->np", normals[index], D)
+    H += J.T @ (weight[:, None] * J)
+    g += J.T @ (weight * across)
+    D = D.reshape(-1, 9 + k)
+    along = np.repeat(config.tangential * weight, 3)
+    H += D.T @ (along[:, None] * D)
+    g += D.T @ (along * gap.ravel())
     # The cost is in the same robust measure for every start; a point without a partner pays in full.
     cost += 0.5 * share * float(np.where(agrees, robust * squared, robust_m**2).sum())
     residual = float(
@@ -228,29 +240,31 @@ def _stepped(state: PoseShape, model: _Model, H: np.ndarray, g: np.ndarray, conf
     )
 
 
-def _rows(
-    state: PoseShape, model: _Model, local: np.ndarray, world: np.ndarray, index: np.ndarray, direction: np.ndarray
-) -> np.ndarray:
-    """Derivative (n, 9 + k) of direction . x for samples that move with the state."""
-    scale = np.exp(state.log_scale)
-    in_object = direction @ state.R
-    modes = model.samples.modes[:, index]
-    return np.concatenate(
-        [
-            np.cross(world - state.t, direction),
-            direction,
-            in_object * scale * local,
-            np.einsum("nd,knd->nk", in_object * scale, modes, optimize=True),
-        ],
-        axis=1,
-    )
+def _derivative(state: PoseShape, model: _Model, local: np.ndarray, world: np.ndarray, index: np.ndarray) -> np.ndarray:
+    """Derivative (n, 3, 9 + k) of the world position of samples that move with the state."""
+    linear = state.R * np.exp(state.log_scale)
+    arm = world - state.t
+    D = np.zeros((len(index), 3, 9 + len(state.coefficients)))
+    for i, j, sign in ((0, 1, 1), (1, 2, 1), (2, 0, 1), (1, 0, -1), (2, 1, -1), (0, 2, -1)):
+        D[:, i, j] = sign * arm[:, 3 - i - j]  # turn x arm
+    D[:, [0, 1, 2], [3, 4, 5]] = 1.0
+    D[:, :, 6:9] = linear * local[:, None]
+    D[:, :, 9:] = (model.point_modes[index] @ linear.T).transpose(0, 2, 1)
+    return D
 
 
 def _sample_normals(state: PoseShape, model: _Model) -> np.ndarray:
-    primitive = model.primitive
-    vertices = primitive.vertices + np.tensordot(state.coefficients, primitive.modes, axes=1)
-    corners = (vertices * np.exp(state.log_scale))[primitive.faces[model.samples.face]]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]) @ state.R.T
+    corners = model.corner_vertices + (state.coefficients @ model.corner_modes).reshape(-1, 3, 3)
+    linear = (state.R * np.exp(state.log_scale)).T
+    a, b = ((corners[:, i] - corners[:, 0]) @ linear for i in (1, 2))
+    # Written out: numpy's cross takes longer than all the rest of this function.
+    normals = np.column_stack(
+        [
+            a[:, 1] * b[:, 2] - a[:, 2] * b[:, 1],
+            a[:, 2] * b[:, 0] - a[:, 0] * b[:, 2],
+            a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0],
+        ]
+    )
     return normals / (np.linalg.norm(normals, axis=1, keepdims=True) + 1e-18)
 
 
