@@ -106,9 +106,7 @@ class _Job:
         return int(np.random.SeedSequence(entropy).generate_state(1)[0])
 
 
-def _chosen(
-    objects: str | Path, split: str, classes: Sequence[str] | None, limit: int | None
-) -> list[tuple[int, str]]:
+def _chosen(objects: str | Path, split: str, classes: Sequence[str] | None, limit: int | None) -> list[tuple[int, str]]:
     """Number and name of the objects that are scored."""
     sources = load_objects(objects, split)
     wanted = _classes(classes)

@@ -11,7 +11,7 @@ from gfp_grasp.transforms import look_at
 from gfp_grasp.types import DepthImage
 
 # A camera that has table, object and lifted gripper in view.
-OVERVIEW = look_at((0.75, -0.55, 0.50), (0.0, 0.0, 0.14))
+OVERVIEW = look_at((0.85, -0.65, 0.62), (0.0, 0.0, 0.17))
 _OVERVIEW_FOV_DEG = 35.0
 _SKY = np.array([0.92, 0.94, 0.97])
 _LIGHT = np.array([0.3, -0.5, 0.8]) / np.linalg.norm([0.3, -0.5, 0.8])

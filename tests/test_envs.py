@@ -1,0 +1,225 @@
+"""The environment on a plain cylinder, and on the user's own completers."""
+
+import pickle
+import warnings
+
+import gymnasium
+import numpy as np
+import pytest
+import trimesh
+from gymnasium.utils.env_checker import check_env
+from gymnasium.vector import AutoresetMode
+
+import gfp_grasp
+from gfp_grasp.envs import GfpGraspEnv
+from gfp_grasp.errors import InvalidAction, InvalidOption, UnknownCompleter
+from gfp_grasp.grasps import plan_grasps
+from gfp_grasp.types import REASONS
+
+pytestmark = pytest.mark.filterwarnings("error")
+SMALL = {"num_points": 256, "image_width": 160, "image_height": 120}
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Two objects that are convex, so that nothing waits for a decomposition."""
+    path = tmp_path_factory.mktemp("objects")
+    for name, radius_m in (("slim", 0.025), ("wide", 0.034)):
+        mesh = trimesh.creation.cylinder(radius_m, 0.14, sections=32)
+        mesh.apply_translation((0, 0, 0.07))
+        mesh.export(path / f"bottle__{name}.ply")
+    return str(path)
+
+
+@pytest.fixture
+def make(folder):
+    def make(**options):
+        return GfpGraspEnv(**{"objects": folder, "completer": "mirror", **SMALL, **options})
+
+    return make
+
+
+def same(a, b):
+    return a.keys() == b.keys() and all(np.array_equal(a[key], b[key]) for key in a)
+
+
+def best_action(env, number=0):
+    return env.action_code.encode(plan_grasps(env.completion)[number])
+
+
+def test_gymnasium_finds_nothing_to_complain_of(folder):
+    env = gymnasium.make("gfp_grasp:GfpGrasp-v0", objects=folder, completer="mirror", render_mode="rgb_array", **SMALL)
+    check_env(env.unwrapped)
+
+
+@pytest.mark.parametrize("world", ["true", "completed"])
+@pytest.mark.parametrize("completer", ["oracle", "mirror"])
+def test_the_planned_grasp_of_a_cylinder_is_held(make, completer, world):
+    env = make(completer=completer, world=world)
+    env.reset(seed=1)
+    _, reward, terminated, truncated, info = env.step(best_action(env))
+    assert (reward, terminated, truncated) == (1.0, True, False)
+    assert info["is_success"]
+    assert info["reason"] == "held"
+    assert info["world"] == world
+
+
+def test_a_random_action_fails_with_a_reason_from_the_list(make):
+    env = make()
+    env.reset(seed=0)
+    env.action_space.seed(0)
+    _, reward, _, _, info = env.step(env.action_space.sample())
+    assert reward == 0.0
+    assert info["reason"] in REASONS
+
+
+def test_observation_holds_the_object_and_its_completion(make):
+    env = make(spread_m=0.0)
+    observation, _ = env.reset(seed=0)
+    mask = observation["observed_mask"].astype(bool)
+    assert mask.sum() > 100
+    assert not observation["observed"][~mask].any()
+    for cloud in (observation["observed"][mask], observation["completed"]):
+        assert np.linalg.norm(cloud[:, :2], axis=1).max() < 0.05
+        assert -0.005 < cloud[:, 2].min()
+        assert cloud[:, 2].max() < 0.15
+    assert observation["depth"].max() == pytest.approx(0.9, abs=0.4)
+
+
+def test_equal_seeds_give_equal_episodes_and_outcomes(make):
+    runs = []
+    for _ in range(2):
+        env = make(sensor="realsense")
+        observation, info = env.reset(seed=7)
+        runs.append((observation, info, env.step(best_action(env))))
+    assert same(runs[0][0], runs[1][0])
+    assert runs[0][1] == runs[1][1]
+    assert runs[0][2][4] == runs[1][2][4]
+    other, _ = make(sensor="realsense").reset(seed=8)
+    assert not same(runs[0][0], other)
+
+
+def test_a_later_episode_depends_on_the_seed_alone(make):
+    env, fresh = make(), make()
+    env.reset(seed=3)
+    env.step(best_action(env))
+    first, _ = env.reset(seed=5)
+    second, _ = fresh.reset(seed=5)
+    assert same(first, second)
+
+
+def test_info_is_flat_and_has_the_same_keys_after_reset_and_step(make):
+    env = make()
+    _, at_reset = env.reset(seed=0)
+    at_step = env.step(env.action_space.sample())[4]
+    assert at_reset.keys() == at_step.keys()
+    assert all(isinstance(value, (bool, int, float, str)) for value in {**at_reset, **at_step}.values())
+
+
+def test_a_failed_completion_leaves_zeros_and_says_so(make):
+    env = make(completer="own_completers:gives_up")
+    observation, info = env.reset(seed=0)
+    assert info["completion_failed"]
+    assert info["completion_error"].startswith("FitDiverged: nothing fits")
+    assert not observation["completed"].any()
+    assert observation["observed_mask"].any()
+    assert env.step(env.action_space.sample())[4]["reason"] in REASONS
+
+
+def test_without_a_completion_there_is_no_completed_world_to_grasp_in(make):
+    env = make(completer="own_completers:gives_up", world="completed")
+    env.reset(seed=0)
+    _, reward, _, _, info = env.step(env.action_space.sample())
+    assert (reward, info["reason"]) == (0.0, "no_grasp_found")
+
+
+def test_the_users_own_completer_is_called_by_name(make):
+    env = make(completer="own_completers:upright_box")
+    env.reset(seed=0)
+    assert len(env.completion.mesh.faces) == 12
+
+
+def test_reset_takes_an_object_and_a_completion(make):
+    env = make()
+    _, info = env.reset(seed=0, options={"object": 1})
+    assert info["object"] == "wide"
+    other = make(world="completed")
+    other.reset(seed=0, options={"object": 1, "completion": env.completion})
+    assert other.completion is env.completion
+
+
+@pytest.mark.parametrize(
+    ("options", "error", "message"),
+    [
+        ({"colour": "red"}, InvalidOption, "unknown option 'colour'; legal are objects"),
+        ({"render_mode": "human"}, InvalidOption, "render_mode is 'human'"),
+        ({"world": "flat"}, InvalidOption, "'true', 'completed'"),
+        ({"sensor": "lidar"}, InvalidOption, "sensor"),
+        ({"num_points": 0}, InvalidOption, "num_points"),
+        ({"elevation_min_deg": 70.0}, InvalidOption, "elevations"),
+        ({"objects": "teapot"}, InvalidOption, "teapot"),
+        ({"completer": "magic"}, UnknownCompleter, "oracle, observed, mirror"),
+    ],
+)
+def test_options_that_are_not_legal_are_refused_by_name(make, options, error, message):
+    with pytest.raises(error, match=message):
+        make(**options)
+
+
+@pytest.mark.parametrize("options", [{"colour": 1}, {"object": 9}])
+def test_reset_options_that_are_not_legal_are_refused(make, options):
+    with pytest.raises(InvalidOption):
+        make().reset(seed=0, options=options)
+
+
+def test_an_action_of_nan_is_refused_and_the_env_lives_on(make):
+    env = make()
+    env.reset(seed=0)
+    with pytest.raises(InvalidAction, match="not finite"):
+        env.step(np.full(env.action_space.shape, np.nan))
+    assert env.step(best_action(env))[4]["is_success"]
+
+
+def test_a_step_before_reset_is_refused(make):
+    with pytest.raises(gymnasium.error.ResetNeeded):
+        make().step(np.zeros(10, dtype=np.float32))
+
+
+def test_a_used_env_pickles_after_a_render(make):
+    env = make(render_mode="rgb_array")
+    first, _ = env.reset(seed=2)
+    picture = env.render()
+    assert picture.shape == (240, 320, 3)
+    assert picture.dtype == np.uint8
+    assert picture.std() > 10
+    again, _ = pickle.loads(pickle.dumps(env)).reset(seed=2)
+    assert same(first, again)
+
+
+@pytest.mark.parametrize("mode", ["sync", "async"])
+def test_vectors_step_and_reset_in_the_same_step(folder, mode):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DeprecationWarning)  # of fork under threads, from the standard library
+        vector = gymnasium.make_vec(
+            "GfpGrasp-v0",
+            num_envs=2,
+            vectorization_mode=mode,
+            vector_kwargs={"autoreset_mode": AutoresetMode.SAME_STEP},
+            objects=folder,
+            completer="mirror",
+            **SMALL,
+        )
+        try:
+            observation, _ = vector.reset(seed=0)
+            assert vector.observation_space.contains(observation)
+            _, rewards, terminated, _, infos = vector.step(np.zeros((2, 10), dtype=np.float32))
+        finally:
+            vector.close()
+    assert terminated.all()
+    assert not rewards.any()
+    assert set(infos["final_info"]["reason"]) <= set(REASONS)
+
+
+def test_the_package_registers_the_environment():
+    assert gfp_grasp.__name__ == "gfp_grasp"
+    assert gymnasium.spec("GfpGrasp-v0").max_episode_steps is None
