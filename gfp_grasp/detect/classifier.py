@@ -28,21 +28,21 @@ _YAWS = 4  # the answer is a mean over turns about up, for nothing in the networ
 class CategoryNet(nn.Module):
     """PointNet: (b, n, 4) x, y, z and distance from the axis, in units of 0.1 m, to (b, k) logits."""
 
-    def __init__(self, num_classes: int, *, width: int = 64) -> None:
+    def __init__(self, num_classes: int, *, width: int = 48) -> None:
         super().__init__()
         self.point = nn.Sequential(
-            nn.Linear(4, width), nn.LayerNorm(width), nn.GELU(),
-            nn.Linear(width, 2 * width), nn.LayerNorm(2 * width), nn.GELU(),
+            nn.Linear(4, width), nn.LayerNorm(width), nn.ReLU(),
+            nn.Linear(width, 2 * width), nn.LayerNorm(2 * width), nn.ReLU(),
             nn.Linear(2 * width, 4 * width),
         )  # fmt: skip
         self.head = nn.Sequential(
-            nn.Linear(8 * width, 2 * width), nn.LayerNorm(2 * width), nn.GELU(), nn.Dropout(0.3),
+            nn.Linear(8 * width, 2 * width), nn.LayerNorm(2 * width), nn.ReLU(), nn.Dropout(0.3),
             nn.Linear(2 * width, num_classes),
         )  # fmt: skip
 
     def forward(self, features: torch.Tensor) -> torch.Tensor:
         local = self.point(features)
-        return self.head(torch.cat([local.amax(dim=1), local.mean(dim=1)], dim=1))
+        return self.head(torch.cat([local.max(dim=1).values, local.mean(dim=1)], dim=1))
 
 
 def classify(

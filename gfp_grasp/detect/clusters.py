@@ -89,7 +89,7 @@ def label_picture(
     if not above.any():
         return labels
     crease = concavity(points, above, depth, eye, focal_px, jump=_jump(depth, config)) > config.max_concavity
-    crease = above & np.asarray(ndimage.binary_dilation(crease, iterations=_CREASE_PX))
+    crease = above & np.asarray(ndimage.binary_dilation(crease, iterations=_CREASE_PX), dtype=bool)
     pieces = _give_back(_connected_pixels(above & ~crease, depth, config), above, points)
     rest = _connected_pixels(above & (pieces == 0), depth, config)  # wide creases, as round the floor of a cup
     pieces = np.where(rest > 0, rest + pieces.max(), pieces)

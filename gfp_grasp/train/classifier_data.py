@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -72,8 +72,12 @@ def foreign_examples(count: int, *, seed: int, workers: int = 1, folder: Path = 
 def _handle_is_seen(points: np.ndarray, T_world_object: np.ndarray, seed: int) -> bool:
     """Whether points lie beyond the body's radius towards +x, where a handle is; noise stays within 3 mm."""
     local = apply_T(invert_T(T_world_object), points)
-    body_radius_m = float(np.abs(make_shape("mug", seed).mesh.vertices[:, 1]).max())
-    return int((local[:, 0] > body_radius_m + 0.003).sum()) >= _MIN_HANDLE_POINTS
+    return int((local[:, 0] > _body_radius_m(seed) + 0.003).sum()) >= _MIN_HANDLE_POINTS
+
+
+@cache
+def _body_radius_m(seed: int) -> float:
+    return float(np.abs(make_shape("mug", seed).mesh.vertices[:, 1]).max())
 
 
 def _foreign_view(number: int, *, seed: int) -> np.ndarray:
