@@ -13,7 +13,7 @@ from scipy.spatial import QhullError
 
 from gfp_grasp.complete import CompleteConfig, Completion, complete_detection
 from gfp_grasp.deform import DeformConfig
-from gfp_grasp.errors import InvalidCloud, InvalidMesh, UnknownCompleter
+from gfp_grasp.errors import InvalidCloud, InvalidMesh, InvalidOption, UnknownCompleter
 from gfp_grasp.meshes import check_mesh, make_solid
 from gfp_grasp.observation import mark_observed
 from gfp_grasp.types import CollisionMesh, CompletedShape, ConvexPart, Detection
@@ -23,7 +23,9 @@ COMPLETERS = ("oracle", "observed", "mirror", "registration", "gfpnet")
 # Edges of hulls are split to this length, so that seen and unseen surface can be told apart on them.
 _EDGE_M = 0.008
 # Share of the points at either edge of the silhouette that tell how deep the object's middle lies.
-_SILHOUETTE_SHARE = 0.1
+_SILHOUETTE_SHARE = 0.04
+# Points with less spread than this across their plane, as a share of that along it, are flat but for rounding.
+_FLAT = 1e-5
 
 Completer = Callable[[Detection], Completion]
 
@@ -44,7 +46,7 @@ class CompletionInParts(Completion):
         return self.known_parts
 
 
-def completer(name: str) -> Completer | Oracle:
+def completer(name: str) -> Completer:
     """A completer by name.
 
     Args:
@@ -59,7 +61,7 @@ def completer(name: str) -> Completer | Oracle:
     Raises:
         UnknownCompleter: The name is none of these, or cannot be imported.
     """
-    built_in = {
+    built_in: dict[str, Completer] = {
         "oracle": Oracle(),
         "observed": complete_as_observed,
         "mirror": complete_by_mirror,
@@ -76,14 +78,23 @@ class Oracle:
 
     needs_truth = True
 
-    def __call__(self, detection: Detection, truth: trimesh.Trimesh, collision: CollisionMesh) -> Completion:
+    def __call__(
+        self, detection: Detection, truth: trimesh.Trimesh | None = None, collision: CollisionMesh | None = None
+    ) -> Completion:
         """Completion that is the truth.
 
         Args:
             detection: Of the object, for its support and what was observed.
             truth: True mesh in the world frame.
             collision: Its convex parts, world frame.
+
+        Raises:
+            InvalidOption: Called without the truth, as any other completer is.
         """
+        if truth is None or collision is None:
+            raise InvalidOption(
+                "the oracle needs the true mesh and its convex parts; in a simulator only it can be had"
+            )
         return CompletionInParts(_shape(truth, detection), detection, collision)
 
 
@@ -135,12 +146,14 @@ def _complete_by_registration(detection: Detection) -> Completion:
 
 
 def _hull_completion(points: np.ndarray, detection: Detection) -> Completion:
+    flat = f"{len(points)} points have no volume between them: a plane or a line has no hull"
+    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    if len(points) < 4 or not spread[2] > _FLAT * spread[0]:
+        raise InvalidCloud(flat)
     try:
         hull = trimesh.convex.convex_hull(points)
     except QhullError as error:
-        raise InvalidCloud(
-            f"{len(points)} points have no volume between them: a plane or a line has no hull"
-        ) from error
+        raise InvalidCloud(flat) from error
     part = ConvexPart(np.asarray(hull.vertices), np.asarray(hull.faces))
     exact = CollisionMesh((part,), (0.0, 0.0, 0.0), "hull", 0.0)
     return CompletionInParts(_shape(_refine(hull), detection), detection, exact)

@@ -7,6 +7,7 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -71,7 +72,7 @@ class Report:
     settings: Mapping[str, object]
     trials: tuple[Trial, ...]
 
-    def completers(self) -> dict[str, dict[str, object]]:
+    def completers(self) -> dict[str, dict[str, Any]]:
         """Summary of each completer, in the order of their first trials.
 
         `attempts`, `successes`, `success_rate`, `ci95` (Wilson) and `reasons` are those on the true objects;
@@ -109,7 +110,7 @@ def wilson_interval(successes: int, attempts: int) -> tuple[float, float]:
     return max(0.0, float(centre - half)), min(1.0, float(centre + half))
 
 
-def _summary(trials: Sequence[Trial]) -> dict[str, object]:
+def _summary(trials: Sequence[Trial]) -> dict[str, Any]:
     distances = [trial.cd_m for trial in trials if trial.cd_m is not None]
     return {
         **_rates([trial.reason for trial in trials], sum(trial.success for trial in trials)),
@@ -121,7 +122,7 @@ def _summary(trials: Sequence[Trial]) -> dict[str, object]:
     }
 
 
-def _rates(reasons: Sequence[str], successes: int) -> dict[str, object]:
+def _rates(reasons: Sequence[str], successes: int) -> dict[str, Any]:
     counts = Counter(reasons)
     return {
         "attempts": len(reasons),
@@ -132,21 +133,17 @@ def _rates(reasons: Sequence[str], successes: int) -> dict[str, object]:
     }
 
 
-def _row(name: str, summary: dict[str, object]) -> dict[str, str]:
-    completed = summary["completed_world"]
-    assert isinstance(completed, dict)
-    cd_m, reasons = summary["cd_m"], summary["reasons"]
-    assert isinstance(reasons, dict)
-    failures = {reason: count for reason, count in reasons.items() if reason != "held"}
+def _row(name: str, summary: Mapping[str, Any]) -> dict[str, str]:
+    failures = {reason: count for reason, count in summary["reasons"].items() if reason != "held"}
     return {
         "completer": name,
         "true world": _rate_text(summary),
-        "completed world": _rate_text(completed),
-        "CD mm": f"{1000 * cd_m:.1f}" if isinstance(cd_m, float) else "-",
+        "completed world": _rate_text(summary["completed_world"]),
+        "CD mm": "-" if summary["cd_m"] is None else f"{1000 * summary['cd_m']:.1f}",
         "failures": ", ".join(f"{reason} {count}" for reason, count in failures.items()) or "-",
     }
 
 
-def _rate_text(rates: Mapping[str, object]) -> str:
-    low, high = rates["ci95"]  # pyright: ignore[reportGeneralTypeIssues]
+def _rate_text(rates: Mapping[str, Any]) -> str:
+    low, high = rates["ci95"]
     return f"{rates['successes']}/{rates['attempts']} = {rates['success_rate']:.2f} [{low:.2f}, {high:.2f}]"

@@ -8,6 +8,7 @@ import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -177,9 +178,7 @@ def _best_grasp(completion: Completion, seed: int) -> tuple[Grasp | None, str]:
     return (grasps[0], "") if grasps else (None, "the planner found no grasp")
 
 
-def _in_both_worlds(
-    env: GfpGraspEnv, job: _Job, grasp: Grasp | None
-) -> tuple[Mapping[str, object], Mapping[str, object]]:
+def _in_both_worlds(env: GfpGraspEnv, job: _Job, grasp: Grasp | None) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
     """Info of the attempt on the true object and on the completed one."""
     if grasp is None:
         nothing = {"is_success": False, "reason": "no_grasp_found", "lift_m": 0.0, "slip_m": 0.0}

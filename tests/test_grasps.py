@@ -1,6 +1,6 @@
 """The planner on shapes whose good grasps are known."""
 
-from types import SimpleNamespace
+from dataclasses import dataclass
 
 import numpy as np
 import pytest
@@ -11,23 +11,32 @@ from gfp_grasp.errors import InvalidOption
 from gfp_grasp.grasps import GraspConfig, Gripper, plan_grasps
 from gfp_grasp.grasps.clearance import height_above, room_around
 from gfp_grasp.grasps.contact import find_contacts
-from gfp_grasp.meshes import load_mesh
+from gfp_grasp.meshes import load_mesh, sample_surface
 from gfp_grasp.transforms import apply_T, make_T, rotation_about
 from gfp_grasp.types import Detection, OrientedBox, PointCloud, SupportPlane
 
 UP = np.array([0.0, 0.0, 1.0])
 
 
+@dataclass(frozen=True)
+class Completed:
+    """What the planner needs of a completion."""
+
+    mesh: trimesh.Trimesh
+    parts: tuple[trimesh.Trimesh, ...]
+    observed: np.ndarray
+    sigma_m: np.ndarray
+    detection: Detection
+
+
 def completion_of(mesh, *, observed=True, sigma_m=0.0, support=None, up=UP):
-    """What the planner needs of a completion, around a mesh."""
+    """A completion around a mesh."""
     points = np.asarray(mesh.vertices)
     box = OrientedBox(np.eye(4), np.ptp(points, axis=0))
     detection = Detection(PointCloud(points), up, support, "cup", {"cup": 1.0}, box)
     seen = np.broadcast_to(observed, (len(points),))
     parts = (mesh.convex_hull,) if mesh.is_convex else ()
-    return SimpleNamespace(
-        mesh=mesh, parts=parts, observed=seen, sigma_m=np.full(len(points), sigma_m), detection=detection
-    )
+    return Completed(mesh, parts, seen, np.full(len(points), sigma_m), detection)
 
 
 def cylinder(radius_m=0.03, height_m=0.12):
@@ -91,7 +100,7 @@ def test_no_grasp_touches_object_or_support_on_its_way_in(mesh):
     mesh = mesh.copy()
     mesh.apply_translation((0, 0, -mesh.bounds[0, 2]))
     config = GraspConfig()
-    fresh = trimesh.sample.sample_surface(mesh, 20_000, seed=99)[0]
+    fresh = sample_surface(mesh, 20_000, np.random.default_rng(99))[0]
     support = SupportPlane(UP, 0.0)
     for grasp in plan_grasps(completion_of(mesh, support=support)):
         pose, opening = grasp.T_world_gripper[None], np.array([grasp.width_m])
@@ -146,11 +155,9 @@ def test_a_nonsense_config_is_refused(knob):
 
 def test_contacts_of_a_box_are_its_faces():
     mesh = trimesh.creation.box((0.03, 0.04, 0.05))
-    points, face = trimesh.sample.sample_surface(mesh, 5000, seed=0)
+    points, normals, _ = sample_surface(mesh, 5000, np.random.default_rng(0))
     poses = np.eye(4)[None]
-    contacts = find_contacts(
-        poses, np.array([0.06]), points, mesh.face_normals[face], np.full(5000, 0.5), gripper=Gripper()
-    )
+    contacts = find_contacts(poses, np.array([0.06]), points, normals, np.full(5000, 0.5), gripper=Gripper())
     assert contacts.low_m[0] == pytest.approx(-0.02, abs=1e-6)
     assert contacts.high_m[0] == pytest.approx(0.02, abs=1e-6)
     assert contacts.squareness[0] == pytest.approx(1.0)

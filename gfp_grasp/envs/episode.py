@@ -48,7 +48,7 @@ class Episode:
 def draw_episode(
     truth: TrueObject,
     world: World,
-    complete: Completer | Oracle,
+    complete: Completer,
     config: EnvConfig,
     rng: np.random.Generator,
     *,
@@ -112,9 +112,7 @@ def _largest(detections: tuple[Detection, ...]) -> Detection:
     return max(detections, key=lambda detection: len(detection.cloud.points))
 
 
-def _complete(
-    complete: Completer | Oracle, detection: Detection, truth: TrueObject, T_world_object: np.ndarray
-) -> Completion:
+def _complete(complete: Completer, detection: Detection, truth: TrueObject, T_world_object: np.ndarray) -> Completion:
     if not isinstance(complete, Oracle):
         return complete(detection)
     mesh = truth.mesh.copy()

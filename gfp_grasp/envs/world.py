@@ -40,7 +40,7 @@ class World:
 
     @classmethod
     def of_parts(cls, parts: tuple[ConvexPart, ...], mass_kg: float, friction: float) -> World:
-        """The world as it was completed: convex parts, world frame, lifted out of the table that they may reach into."""
+        """The world as it was completed: convex parts, world frame, lifted out of the table if they reach into it."""
         points = np.concatenate([part.vertices for part in parts])
         centre = points.mean(axis=0)
         local = tuple(ConvexPart(part.vertices - centre, part.faces) for part in parts)

@@ -30,7 +30,7 @@ class GraspConfig:
 
     num_rays: int = 500
     num_directions: int = 12
-    num_poses: int = 900
+    num_poses: int = 600
     num_points: int = 4000
     friction: float = 0.5
     jaw_clearance_m: float = 0.010

@@ -55,18 +55,20 @@ def find_contacts(
         between = (x >= x0) & (x <= x1) & (z >= z0) & (z <= z1) & (np.abs(y) < opening_m[some, None] / 2)
         top = np.where(between, y, -np.inf).max(axis=1)
         bottom = np.where(between, y, np.inf).min(axis=1)
-        facing = T_world_gripper[some, :3, 1] @ normals.T
+        facing = T_world_gripper[some, :3, 1].astype(np.float32) @ normals.T.astype(np.float32)
         touch_top = between & (y >= top[:, None] - _TOUCH_M) & (facing > 0)
         touch_bottom = between & (y <= bottom[:, None] + _TOUCH_M) & (facing < 0)
         squareness[some] = np.minimum(_mean(facing, touch_top), _mean(-facing, touch_bottom))
-        realness[some] = (_mean(odds[None], touch_top) + _mean(odds[None], touch_bottom)) / 2
+        everywhere = np.broadcast_to(odds, facing.shape)
+        realness[some] = (_mean(everywhere, touch_top) + _mean(everywhere, touch_bottom)) / 2
         low[some], high[some] = bottom, top
     found = np.isfinite(low) & np.isfinite(high) & np.isfinite(squareness)
     return Contacts(*(np.where(found, array, np.nan) for array in (low, high, squareness, realness)))
 
 
 def _mean(values: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Mean (p,) of (p, n) or (1, n) values under a (p, n) mask; NaN where it is empty."""
-    counts = mask.sum(axis=1)
-    sums = np.where(mask, values, 0.0).sum(axis=1)
+    """Mean (p,) of (p, n) values under a (p, n) mask; NaN where it is empty."""
+    pose, point = np.nonzero(mask)  # few points touch, so they are summed one by one
+    sums = np.bincount(pose, values[pose, point], minlength=len(mask))
+    counts = np.bincount(pose, minlength=len(mask))
     return np.divide(sums, counts, out=np.full(len(mask), np.nan), where=counts > 0)

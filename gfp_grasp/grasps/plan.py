@@ -131,20 +131,15 @@ def _looks_free(
 def _close_on(
     T: np.ndarray, width: np.ndarray, surface: _Surface, config: GraspConfig
 ) -> tuple[np.ndarray, np.ndarray, Contacts]:
-    """Centre each pose between the surfaces that its pads will touch first, and measure again."""
-
-    def close(T: np.ndarray, width: np.ndarray) -> Contacts:
-        opening = _opening(width, config)
-        return find_contacts(T, opening, surface.points, surface.normals, surface.odds, gripper=config.gripper)
-
-    first = close(T, width)
-    T, low, high = _take(np.isfinite(first.low_m), T, first.low_m, first.high_m)
+    """Centre poses between the surfaces that the pads touch first; poses, widths (p,) m, contacts of those that fit."""
+    opening = _opening(width, config)
+    contacts = find_contacts(T, opening, surface.points, surface.normals, surface.odds, gripper=config.gripper)
+    width = contacts.high_m - contacts.low_m
+    fits = np.isfinite(width) & (width <= config.max_width_m)
+    T, width, *kept = _take(fits, T, width, contacts.low_m, contacts.high_m, contacts.squareness, contacts.realness)
     T = T.copy()
-    T[:, :3, 3] += ((low + high) / 2)[:, None] * T[:, :3, 1]
-    contacts = close(T, high - low)
-    fits = np.isfinite(contacts.low_m) & (contacts.high_m - contacts.low_m <= config.max_width_m)
-    T, *kept = _take(fits, T, contacts.low_m, contacts.high_m, contacts.squareness, contacts.realness)
-    return T, kept[1] - kept[0], Contacts(*kept)
+    T[:, :3, 3] += ((kept[0] + kept[1]) / 2)[:, None] * T[:, :3, 1]
+    return T, width, Contacts(*kept)
 
 
 def _quality(

@@ -1,0 +1,119 @@
+"""The score of completers on plain cylinders, and its report."""
+
+import json
+
+import pytest
+import trimesh
+
+from gfp_grasp.errors import InvalidOption, UnknownCompleter
+from gfp_grasp.report import Report, Trial, wilson_interval
+from gfp_grasp.score import score
+from gfp_grasp.types import REASONS
+
+COMPLETERS = ("oracle", "mirror", "own_completers:upright_box", "own_completers:gives_up")
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    path = tmp_path_factory.mktemp("two-things")
+    for name, radius_m in (("bottle__slim", 0.025), ("plain", 0.034), ("anvil__heavy", 0.03)):
+        mesh = trimesh.creation.cylinder(radius_m, 0.14, sections=32)
+        mesh.apply_translation((0, 0, 0.07))
+        mesh.export(path / f"{name}.ply")
+    return path
+
+
+@pytest.fixture(scope="module")
+def report(folder):
+    return score(folder, COMPLETERS, views=1, seed=5)
+
+
+def without_timings(report):
+    content = json.loads(report.to_json())
+    for trial in content["trials"]:
+        del trial["timings_s"]
+    return content
+
+
+def test_every_completer_meets_the_same_objects_and_views(report):
+    met = {
+        name: [(t.object, t.view, t.episode_seed) for t in report.trials if t.completer == name] for name in COMPLETERS
+    }
+    assert all(rows == met["oracle"] for rows in met.values())
+    assert [row[0] for row in met["oracle"]] == ["slim", "plain"]  # an anvil is of no class that can be completed
+
+
+def test_the_oracle_holds_every_cylinder_in_both_worlds(report):
+    oracle = report.completers()["oracle"]
+    assert oracle["success_rate"] == 1.0
+    assert oracle["completed_world"]["success_rate"] == 1.0
+    assert oracle["cd_m"] < 0.004
+
+
+def test_a_completer_that_gives_up_has_failed_attempts(report):
+    row = report.completers()["own_completers:gives_up"]
+    assert row["attempts"] == 2
+    assert row["reasons"] == {"no_grasp_found": 2}
+    assert row["cd_m"] is None
+
+
+def test_the_json_has_the_promised_layout_and_no_path(report, folder):
+    content = json.loads(report.to_json())
+    assert list(content) == ["settings", "completers", "trials"]
+    assert content["settings"]["objects"] == folder.name
+    assert str(folder.parent) not in report.to_json()
+    assert len(content["trials"]) == 8
+    for row in content["completers"].values():
+        assert {"attempts", "successes", "success_rate", "ci95", "reasons", "cd_m"} <= row.keys()
+        assert sum(row["reasons"].values()) == row["attempts"]
+        assert set(row["reasons"]) <= set(REASONS)
+
+
+def test_the_same_score_on_two_workers_differs_in_timings_alone(report, folder):
+    again = score(folder, COMPLETERS, views=1, seed=5, workers=2)
+    assert without_timings(again) == without_timings(report)
+
+
+def test_the_report_is_written_and_tabled(report, tmp_path):
+    report.write(tmp_path / "score.json")
+    assert json.loads((tmp_path / "score.json").read_text()) == json.loads(report.to_json())
+    table = report.table()
+    assert [row["completer"] for row in table] == list(COMPLETERS)
+    assert table[0]["true world"].startswith("2/2 = 1.00 [0.34, 1.00]")
+    assert table[3]["failures"] == "no_grasp_found 2"
+
+
+def test_classes_choose_the_objects(folder):
+    report = score(folder, ["own_completers:gives_up"], views=1, classes=("anvil",))
+    assert [trial.object for trial in report.trials] == ["heavy"]
+    everything = score(folder, ["own_completers:gives_up"], views=1, classes=("*",))
+    assert len(everything.trials) == 3
+
+
+@pytest.mark.parametrize(
+    ("knobs", "error", "message"),
+    [
+        ({"views": 0}, InvalidOption, "views is 0"),
+        ({"classes": ("teapot",)}, InvalidOption, "no object is of class teapot"),
+        ({"completers": ("magic",)}, UnknownCompleter, "magic"),
+        ({"workers": -1}, InvalidOption, "workers"),
+    ],
+)
+def test_what_cannot_be_scored_is_refused(folder, knobs, error, message):
+    with pytest.raises(error, match=message):
+        score(folder, **{"completers": ("mirror",), "views": 1, **knobs})
+
+
+@pytest.mark.parametrize(
+    ("successes", "attempts", "low", "high"),
+    [(8, 10, 0.4902, 0.9433), (0, 10, 0.0, 0.2775), (10, 10, 0.7225, 1.0), (0, 0, 0.0, 1.0)],
+)
+def test_wilson_intervals_are_those_of_the_tables(successes, attempts, low, high):
+    assert wilson_interval(successes, attempts) == pytest.approx((low, high), abs=1e-4)
+
+
+def test_a_report_counts_each_world_by_itself():
+    trial = Trial("a", "cup", "mirror", 0, 1, False, "no_contact", 0.0, 0.0, True, "held", 0.5, 0.05, 0.01, 0.7)
+    row = Report({}, (trial,)).completers()["mirror"]
+    assert (row["successes"], row["completed_world"]["successes"]) == (0, 1)
+    assert row["cd_m"] == 0.01
