@@ -21,8 +21,8 @@ class DecomposeConfig:
         threshold: Concavity that a part may keep, 0.01 to 1, as a share of the mesh scaled into a cube of half-width 1;
             metres under real_metric. Smaller means more parts.
         max_convex_hull: Most parts, by merging; -1 for no limit.
-        preprocess_mode: "off" hands the mesh to CoACD as it is, which needs a manifold; "on" remeshes it, which
-            inflates thin walls; "auto" is "off" for a mesh that is a closed volume once cleaned, else "on".
+        preprocess_mode: "off" has CoACD take the mesh as it is (`decompose` has made a manifold of it), "on" has CoACD
+            remesh it, which inflates thin walls; "auto" is "off" at first, and "on" when that has failed thrice.
         preprocess_resolution: Of the remeshing, 20 to 100.
         resolution: Samples for the distance between surface and hull, 1000 to 10000.
         mcts_nodes: Cutting planes a level of the tree search, 10 to 40.

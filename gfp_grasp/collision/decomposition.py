@@ -14,7 +14,7 @@ from gfp_grasp.collision.convex import convex_part, convex_parts, volume_m3
 from gfp_grasp.collision.fidelity import union_error_m, union_volume_m3
 from gfp_grasp.collision.guard import ChildLostError, run_guarded
 from gfp_grasp.errors import DecompositionFailed, InvalidMesh
-from gfp_grasp.meshes import check_mesh
+from gfp_grasp.meshes import check_mesh, make_solid
 from gfp_grasp.types import CollisionMesh, ConvexPart
 
 # A mug of 1500 vertices: 45 parts and IoU 0.81 at 0.05, 77 and 0.88 at 0.03, 130 at 0.02, where carrying and MuJoCo's
@@ -33,23 +33,25 @@ def decompose(mesh: trimesh.Trimesh, *, config: DecomposeConfig | None = None) -
     is followed by one with vertices jittered by a millionth of the diagonal, then by coarser ones, the last remeshed.
 
     Args:
-        mesh: Metres, any frame; best a watertight volume. Duplicate vertices and faces are removed, a mesh that is
-            inside out is turned.
+        mesh: Metres, any frame. What is no watertight volume, or crosses itself, is made one first: CoACD aborts,
+            hangs or inflates its walls otherwise.
         config: Options of CoACD and limits; None for the defaults.
 
     Returns:
         Parts that MuJoCo compiles, their two-sided error, and in `notes`: attempts, lost (why each was), dropped
-        (slivers), volume_ratio (summed volume of the parts over the mesh's), union_volume_ratio (overlaps counted
-        once; both NaN for an open mesh), threshold and preprocess_mode of the attempt that succeeded, memory_limit
-        (whether it holds).
+        (slivers), repair_m (largest distance between the mesh and the solid that was made of it, which the other
+        figures refer to), volume_ratio (summed volume of the parts over the solid's), union_volume_ratio (overlaps
+        counted once), threshold and preprocess_mode of the attempt that succeeded, memory_limit (whether it holds).
 
     Raises:
-        InvalidMesh: Empty, not finite, badly indexed, flat, or too small for MuJoCo.
+        InvalidMesh: Empty, not finite, badly indexed, flat, too small for MuJoCo, or past repair.
         DecompositionFailed: Every attempt was lost; the message says how.
     """
     config = config or DecomposeConfig()
     started = time.monotonic()
-    solid = _cleaned(check_mesh(mesh))
+    used = _used(check_mesh(mesh))
+    _whole_hull(used)  # flat things are named as such, before any repair is tried
+    solid, repair_m = make_solid(used)
     lost: list[str] = []
     step = 0
     for attempt in range(config.attempts):
@@ -76,6 +78,7 @@ def decompose(mesh: trimesh.Trimesh, *, config: DecomposeConfig | None = None) -
             "attempts": attempt + 1,
             "lost": tuple(lost),
             "dropped": dropped,
+            "repair_m": repair_m,
             **_volume_ratios(parts, solid),
             "threshold": options["threshold"],
             "preprocess_mode": options["preprocess_mode"],
@@ -85,8 +88,8 @@ def decompose(mesh: trimesh.Trimesh, *, config: DecomposeConfig | None = None) -
         return CollisionMesh(parts, error, "coacd", time.monotonic() - started, notes)
     raise DecompositionFailed(
         f"CoACD gave no parts in {len(lost)} of {config.attempts} attempts within {config.time_limit_s:g} s "
-        f"({'; '.join(lost) or 'no time for one'}): raise time_limit_s or memory_limit_mb, or repair or simplify the "
-        f"mesh ({len(solid.vertices)} vertices, watertight: {solid.is_watertight})"
+        f"({'; '.join(lost) or 'no time for one'}): raise time_limit_s or memory_limit_mb, or simplify the "
+        f"mesh ({len(solid.vertices)} vertices)"
     )
 
 
@@ -110,10 +113,10 @@ def hull(mesh: trimesh.Trimesh) -> CollisionMesh:
         InvalidMesh: Empty, not finite, badly indexed, flat, or too small for MuJoCo.
     """
     started = time.monotonic()
-    solid = _cleaned(check_mesh(mesh))
-    part = _whole_hull(solid)
-    error = union_error_m([part], solid, rng=np.random.default_rng(0))
-    ratio = float(volume_m3(part) / solid.volume) if solid.is_volume else float("nan")
+    used = _used(check_mesh(mesh))
+    part = _whole_hull(used)
+    error = union_error_m([part], used, rng=np.random.default_rng(0))
+    ratio = float(volume_m3(part) / used.volume) if used.is_volume else float("nan")
     notes = {"dropped": 0, "volume_ratio": ratio, "union_volume_ratio": ratio}
     return CollisionMesh((part,), error, "hull", time.monotonic() - started, notes)
 
@@ -129,21 +132,11 @@ def _whole_hull(mesh: trimesh.Trimesh) -> ConvexPart:
     return part
 
 
-def _cleaned(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """A copy without duplicate vertices, without duplicate or degenerate faces, and outward where it is closed."""
-    clean = trimesh.Trimesh(np.array(mesh.vertices), np.array(mesh.faces), process=False)
-    clean.remove_unreferenced_vertices()  # nobody has checked those
-    clean.merge_vertices()
-    # By index, not by size: a small triangle of a closed mesh is needed to keep it closed.
-    corners = np.sort(clean.faces, axis=1)
-    clean.update_faces((corners[:, 0] != corners[:, 1]) & (corners[:, 1] != corners[:, 2]) & clean.unique_faces())
-    clean.remove_unreferenced_vertices()
-    _whole_hull(clean)
-    if clean.is_watertight and not clean.is_winding_consistent:
-        trimesh.repair.fix_winding(clean)
-    if clean.is_watertight and clean.volume < 0:
-        clean.invert()
-    return clean
+def _used(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+    """A copy without vertices that no face names: nobody has checked those."""
+    kept = trimesh.Trimesh(np.array(mesh.vertices), np.array(mesh.faces), process=False)
+    kept.remove_unreferenced_vertices()
+    return kept
 
 
 def _variation(solid: trimesh.Trimesh, config: DecomposeConfig, step: int) -> tuple[np.ndarray, dict]:
@@ -151,7 +144,7 @@ def _variation(solid: trimesh.Trimesh, config: DecomposeConfig, step: int) -> tu
     vertices = np.array(solid.vertices)
     mode = config.preprocess_mode
     if mode == "auto":
-        mode = "off" if solid.is_volume else "on"
+        mode = "off"
     config = replace(config, preprocess_mode=mode)
     if step > 0:
         diagonal = float(np.linalg.norm(np.ptp(vertices, axis=0)))
@@ -168,8 +161,6 @@ def _variation(solid: trimesh.Trimesh, config: DecomposeConfig, step: int) -> tu
 
 
 def _volume_ratios(parts: tuple[ConvexPart, ...], solid: trimesh.Trimesh) -> dict[str, float]:
-    if not solid.is_volume:
-        return {"volume_ratio": float("nan"), "union_volume_ratio": float("nan")}
     union = union_volume_m3(parts, rng=np.random.default_rng(0))
     return {
         "volume_ratio": float(sum(map(volume_m3, parts)) / solid.volume),
