@@ -18,6 +18,8 @@ from gfp_grasp.types import Detection, FittedPrimitive, GenericPrimitive
 # A surface is in front of a point when it is this much nearer: noise and the misfit of the modes are less.
 _HIDDEN_M = 0.012
 
+_HEAD_STEPS = 2
+
 HYPOTHESES = ("upright", "upside_down", "lying")
 
 
@@ -30,6 +32,7 @@ class FitConfig:
         hypotheses: How the object may rest on the support.
         quick: Refinement of every start.
         thorough: Refinement of the best few.
+        survivors: Share of the starts that outlive the first two quick steps.
         keep: Starts that are refined thoroughly.
         mean_size: Every start has the mean size, not the size of the points.
         max_residual_m: A fit whose trimmed residual is larger has diverged.
@@ -39,6 +42,7 @@ class FitConfig:
     hypotheses: tuple[str, ...] = HYPOTHESES
     quick: ModesConfig = field(default_factory=lambda: ModesConfig(steps=(0.02, 0.015, 0.01, 0.008, 0.006)))
     thorough: ModesConfig = field(default_factory=ModesConfig)
+    survivors: float = 0.4
     keep: int = 3
     mean_size: bool = False
     max_residual_m: float = 0.05
@@ -49,6 +53,8 @@ class FitConfig:
         unknown = set(self.hypotheses) - set(HYPOTHESES)
         if unknown or not self.hypotheses:
             raise InvalidOption(f"hypotheses are {self.hypotheses}; some of {HYPOTHESES} are expected")
+        if not 0 < self.survivors <= 1:
+            raise InvalidOption(f"survivors is {self.survivors}; a share in (0, 1] is expected")
         if self.keep < 1:
             raise InvalidOption(f"keep is {self.keep}; at least one start must be refined")
 
@@ -86,7 +92,7 @@ def fit_evidence(
         from gfp_grasp.register.pcrnet import correct_starts  # torch is loaded where it is needed only
 
         states = correct_starts(states, primitive, evidence)
-    states = sorted((refine(s, primitive, evidence, config.quick) for s in states), key=total_cost)
+    states = _race(states, primitive, evidence, config)
     leaders = _leaders(states, config.keep)
     refined = [refine(s, primitive, evidence, config.thorough) for s in leaders]
     refined = [replace(s, cost=s.cost + _blocking_cost(s, primitive, evidence, config)) for s in refined]
@@ -109,6 +115,19 @@ def fit_evidence(
         margin=max(margin, 1.0),
         cost=total_cost(best),
     )
+
+
+def _race(
+    states: list[PoseShape], primitive: GenericPrimitive, evidence: Evidence, config: FitConfig
+) -> list[PoseShape]:
+    """Every start refined by two steps, the better share of them by the rest; best first."""
+    steps = config.quick.steps
+    head, tail = replace(config.quick, steps=steps[:_HEAD_STEPS]), steps[_HEAD_STEPS:]
+    states = sorted((refine(s, primitive, evidence, head) for s in states), key=total_cost)
+    if tail:
+        go_on = _leaders(states, max(config.keep, round(config.survivors * len(states))))
+        states = sorted((refine(s, primitive, evidence, replace(head, steps=tail)) for s in go_on), key=total_cost)
+    return states
 
 
 def total_cost(state: PoseShape) -> float:

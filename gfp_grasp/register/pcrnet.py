@@ -28,7 +28,7 @@ from gfp_grasp.register.surface import surface_samples
 from gfp_grasp.transforms import rotation_between
 from gfp_grasp.types import GenericPrimitive
 
-NUM_POINTS = 256
+NUM_POINTS = 128
 ITERATIONS = 5
 
 

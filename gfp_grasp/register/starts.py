@@ -49,37 +49,38 @@ def _start(
     R = np.column_stack([x, np.cross(axis, x), axis])
     up, toward = evidence.up, _toward_viewer(evidence)
     points = evidence.points
-    body = primitive.vertices[primitive.regions != 2] if (primitive.regions != 2).any() else primitive.vertices
-    mean_size = np.ptp(body, axis=0)
-    along = points @ axis
-    low, high = (float(a) for a in np.quantile(along, (0.005, 0.995)))
+    turned = primitive.vertices @ R.T
+    low, high = (float(a) for a in np.quantile(points @ axis, (0.005, 0.995)))
     if hypothesis == "upright":
         low = min(low, evidence.floor_m)
     elif hypothesis == "upside_down":
         high = max(high, -evidence.floor_m)
-    # The side that is seen whole is the one across both the axis and the line of sight.
+    long = max(high - low, 1e-3) / float(np.ptp(turned @ axis))
+    # The side that is seen whole is the one across both the axis and the line of sight: the primitive, with its
+    # handle where this start has it, fills it.
     across = np.cross(axis, toward)
     if np.linalg.norm(across) < 0.3:
         across = np.cross(axis, up)
     across /= np.linalg.norm(across)
     deep = np.cross(across, axis)
     deep *= np.sign(deep @ toward) or 1.0
-    left, right = (float(a) for a in np.quantile(points @ across, (0.01, 0.99)))
-    near = float(np.quantile(points @ deep, 0.99))
     if hypothesis == "lying":
-        width = max(float(np.quantile(points @ up, 0.99)) - evidence.floor_m, 1e-3)
-        centre = axis * low + across * (left + right) / 2
-        # What lies is as high as it is thick: its middle is half of that above the support.
-        level = evidence.floor_m + width / 2
+        # What lies is as high as it is thick, and its middle is half of that above the support.
+        top = max(float(np.quantile(points @ up, 0.99)) - evidence.floor_m, 1e-3)
+        wide = top / float(np.ptp(turned @ up))
         flat = np.cross(up, axis)
         flat /= np.linalg.norm(flat)
-        centre = axis * low + up * level + flat * float(np.median(points @ flat))
+        centre = up * (evidence.floor_m - wide * float((turned @ up).min())) + flat * float(np.median(points @ flat))
     else:
-        width = max(right - left, 1e-3)
-        centre = axis * low + across * (left + right) / 2 + deep * (near - width / 2)
+        left, right = (float(a) for a in np.quantile(points @ across, (0.01, 0.99)))
+        wide = max(right - left, 1e-3) / float(np.ptp(turned @ across))
+        near = float(np.quantile(points @ deep, 0.99))
+        centre = across * (left - wide * float((turned @ across).min())) + deep * (
+            near - wide * float((turned @ deep).max())
+        )
+    centre = centre + axis * (low - long * float((turned @ axis).min()))
     sigma = 2.0 * np.sqrt(np.diag(primitive.log_scale_cov) + 1e-4)
-    wide = np.log(width / mean_size[:2].mean())
-    log_scale = np.clip([wide, wide, np.log(max(high - low, 1e-3) / mean_size[2])], -sigma, sigma)
+    log_scale = np.clip(np.log([wide, wide, long]), -sigma, sigma)
     return PoseShape(
         R=R,
         t=centre,
