@@ -29,13 +29,14 @@ def label_regions(mesh: trimesh.Trimesh) -> np.ndarray:
     HANDLE: on a mesh with a hole through it, what lies outside of the body's mirror image from the side without one.
     """
     regions = np.full(len(mesh.vertices), OUTSIDE, dtype=np.uint8)
-    regions[_enclosed(mesh)] = INSIDE
+    regions[enclosed(mesh)] = INSIDE
     if mesh.euler_number <= 0:
         regions[_stands_out(mesh, regions)] = HANDLE
     return regions
 
 
-def _enclosed(mesh: trimesh.Trimesh) -> np.ndarray:
+def enclosed(mesh: trimesh.Trimesh) -> np.ndarray:
+    """(v,) bool: vertices from which no ray gets away sideways or downwards."""
     diagonal = float(np.linalg.norm(mesh.extents))
     normals = vertex_normals(mesh.vertices, mesh.faces)
     index = np.arange(_NUM_DIRECTIONS)

@@ -13,10 +13,11 @@ import trimesh
 from gfp_grasp.errors import BuildFailed, GfpGraspError, InvalidOption
 from gfp_grasp.meshes import check_mesh, crossing_faces, make_solid, vertex_normals
 from gfp_grasp.primitives.anatomy import detect_symmetry, label_regions
-from gfp_grasp.primitives.correspondence import CorrespondenceConfig, TemplateFitter
+from gfp_grasp.primitives.correspondence import Correspondence, CorrespondenceConfig, TemplateFitter
+from gfp_grasp.primitives.frame import stand_up
 from gfp_grasp.primitives.mls import project
 from gfp_grasp.primitives.modes import ShapeModel, shape_model
-from gfp_grasp.primitives.pose import bring_into_one_pose, stand_up
+from gfp_grasp.primitives.pose import bring_into_one_pose
 from gfp_grasp.primitives.procrustes import generalized
 from gfp_grasp.primitives.remesh import RemeshConfig, remesh
 from gfp_grasp.primitives.resample import ResampleConfig, resample
@@ -139,10 +140,16 @@ def _correspond(
     progress: Progress | None,
 ) -> tuple[np.ndarray, np.ndarray]:
     fitter = TemplateFitter(template, config=config.correspondence, seed=seed)
+    diagonal = float(np.linalg.norm(template.extents))
     fitted = []
     watch = progress or (lambda stream, total: stream)
-    for member, found in zip(members, watch(map(fitter.fit, members), len(members)), strict=True):
-        diagonal = float(np.linalg.norm(member.extents))
+
+    def fit(member: trimesh.Trimesh) -> tuple[Correspondence, float]:
+        size = float(np.linalg.norm(member.extents)) / diagonal
+        same_size = trimesh.Trimesh(np.asarray(member.vertices) / size, member.faces, process=False)
+        return fitter.fit(same_size), size
+
+    for found, size in watch(map(fit, members), len(members)):
         if found.residual_m > config.max_residual * diagonal:
             dropped["template does not reach it"] += 1
         elif found.covered < config.min_covered:
@@ -150,7 +157,7 @@ def _correspond(
         elif found.flipped > config.max_flipped:
             dropped["folds the template"] += 1
         else:
-            fitted.append(found.vertices)
+            fitted.append(found.vertices * size)
     return np.array(fitted).reshape(len(fitted), len(template.vertices), 3), np.asarray(template.faces)
 
 
@@ -209,8 +216,9 @@ def _assemble(
     mean = mean - [0, 0, mean[:, 2].min()]
     moved = float(np.linalg.norm(mean - model.mean, axis=1).mean())
     swings = [mean + sign * 2 * mode for mode in model.modes[:6] for sign in (1, -1)]
-    kept, thin, error = resample(np.stack([mean, *swings]), faces, rng, config=config.resample)
-    vertices, modes = mean[kept], model.modes[:, kept]
+    carry, thin, error = resample(np.stack([mean, *swings]), faces, rng, config=config.resample)
+    vertices, modes = carry @ mean, np.einsum("wv,kvc->kwc", carry, model.modes, optimize=True)
+    vertices = vertices - [0, 0, vertices[:, 2].min()]
     mesh = trimesh.Trimesh(vertices, thin, process=False)
     if not mesh.is_volume or len(crossing_faces(vertices, thin)):
         raise BuildFailed(f"the mean {category} is no clean volume: its members are too different, or too few")

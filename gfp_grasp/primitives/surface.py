@@ -8,9 +8,6 @@ from scipy.spatial import cKDTree
 
 from gfp_grasp.meshes import sample_surface
 
-# Candidate faces of a closest point: samples are dense, so the true face is among those of the nearest few.
-_NUM_CANDIDATES = 6
-
 
 class Surface:
     """Samples of a mesh with normals, and exact closest points on its faces.
@@ -37,7 +34,12 @@ class Surface:
         return np.asarray(self._tree(normal_weight_m, exact=False).query(features)[1])
 
     def closest(
-        self, points: np.ndarray, normals: np.ndarray | None = None, *, normal_weight_m: float = 0.0
+        self,
+        points: np.ndarray,
+        normals: np.ndarray | None = None,
+        *,
+        normal_weight_m: float = 0.0,
+        num_candidates: int = 6,
     ) -> tuple[np.ndarray, np.ndarray]:
         """Exact closest points on the faces near each point.
 
@@ -45,17 +47,18 @@ class Surface:
             points: (n, 3) m.
             normals: (n, 3) unit: candidates are sought in position and normal; None for position only.
             normal_weight_m: Weight of the normals in that search.
+            num_candidates: How many samples are looked at: their faces are tried exactly.
 
         Returns:
             Closest points (n, 3) m, and the unit normals (n, 3) of their faces.
         """
         if normals is None:
-            index = self._tree(0.0, exact=True).query(points, k=_NUM_CANDIDATES)[1]
+            index = self._tree(0.0, exact=True).query(points, k=num_candidates)[1]
         else:
             features = np.hstack([points, normals * normal_weight_m])
-            index = self._tree(normal_weight_m, exact=True).query(features, k=_NUM_CANDIDATES)[1]
+            index = self._tree(normal_weight_m, exact=True).query(features, k=num_candidates)[1]
         faces = self._candidate_faces[index]
-        flat = np.repeat(points, _NUM_CANDIDATES, axis=0)
+        flat = np.repeat(points, num_candidates, axis=0)
         candidates = trimesh.triangles.closest_point(self._triangles[faces.ravel()], flat).reshape(*faces.shape, 3)
         best = np.linalg.norm(candidates - points[:, None], axis=2).argmin(axis=1)
         rows = np.arange(len(points))
