@@ -14,8 +14,8 @@ class TrialSettings:
     2. Close: the jaws close by grip_ramp_mps, then press until close_s is over, each with grip_n at most. Not both
        pads on the object: `no_contact`.
     3. Lift by lift_m straight up in lift_s, then hold for hold_s.
-    4. Shake: shake_cycles of a sinusoid of shake_m along the world's x and then y at shake_hz, then the same number
-       of turns by shake_deg about each of these axes.
+    4. Shake: shake_cycles of a sinusoid of shake_m along the world's x and then y at shake_hz (3 m/s2 at its peak),
+       then a turn by turn_deg to either side about each of these axes through the gripper at turn_hz.
 
     From the end of closing on, the object's point that was at the gripper's origin may leave it by slip_m and the
     object may turn in the gripper by slip_deg; more, or losing both pads, is `slipped_on_lift` or `slipped_on_shake`.
@@ -33,9 +33,10 @@ class TrialSettings:
         lift_s: Its duration.
         hold_s: Rest after it.
         shake_m: Amplitude of the shaking sinusoid.
-        shake_deg: Amplitude of the shaking rotation.
-        shake_hz: Frequency of both.
-        shake_cycles: Cycles of each of the four shakes.
+        shake_hz: Its frequency.
+        shake_cycles: Its cycles along each axis.
+        turn_deg: Amplitude of the shaking rotation.
+        turn_hz: Its frequency; one cycle about each axis.
         slip_m: Limit of slip.
         slip_deg: Limit of turning.
         too_fast_mps: Speed that no object reaches in a sound simulation.
@@ -53,9 +54,10 @@ class TrialSettings:
     lift_s: float = 0.8
     hold_s: float = 0.4
     shake_m: float = 0.02
-    shake_deg: float = 15.0
-    shake_hz: float = 3.0
+    shake_hz: float = 2.0
     shake_cycles: int = 2
+    turn_deg: float = 15.0
+    turn_hz: float = 1.0
     slip_m: float = 0.010
     slip_deg: float = 10.0
     too_fast_mps: float = 20.0

@@ -121,12 +121,15 @@ class _Attempt:
     def _shake(self) -> str | None:
         s = self.settings
         T_up = _moved(self.T_grasp, s.lift_m * _UP)
-        swings = [lambda wave, axis=axis: _moved(T_up, s.shake_m * wave * axis) for axis in _SHAKE_AXES]
-        turns = [lambda wave, axis=axis: _turned(T_up, axis, np.deg2rad(s.shake_deg) * wave) for axis in _SHAKE_AXES]
-        for motion in (*swings, *turns):
+        turn_rad = np.deg2rad(s.turn_deg)
+        for axis in _SHAKE_AXES:
             failure = self._follow(
-                lambda t, motion=motion: motion(_swing(t, s.shake_cycles)),
+                lambda t, axis=axis: _moved(T_up, s.shake_m * _swing(t, s.shake_cycles) * axis),
                 s.shake_cycles / s.shake_hz,
+                lambda: self._slipped("slipped_on_shake"),
+            ) or self._follow(
+                lambda t, axis=axis: _turned(T_up, axis, turn_rad * _swing(t, 1)),
+                1.0 / s.turn_hz,
                 lambda: self._slipped("slipped_on_shake"),
             )
             if failure is not None:
@@ -183,5 +186,6 @@ def _smooth(t: float) -> float:
 
 
 def _swing(t: float, cycles: int) -> float:
-    """A sinusoid that starts and ends at rest."""
-    return float(np.sin(2 * np.pi * cycles * t) * np.sin(np.pi * t) ** 0.5) if 0 < t < 1 else 0.0
+    """A sinusoid over t = 0 to 1 that starts and ends gently."""
+    fade = min(1.0, 4.0 * cycles * min(t, 1.0 - t))  # over a quarter of a cycle
+    return _smooth(fade) * float(np.sin(2 * np.pi * cycles * t))

@@ -12,42 +12,56 @@ class GraspConfig:
 
     Attributes:
         num_rays: Surface points from which closing lines are cast.
+        num_lines: Closing lines that are kept, at most, spread evenly over the object: a slim neck on a wide bottle has
+            little surface, but may be all that fits between the jaws.
         num_directions: Approach directions tried about each closing axis, evenly over the turn.
-        num_poses: Poses that are checked for collision, at most; they are drawn evenly over the closing lines.
+        tip_offset_m: Besides grasps with the closing line through the middle of the pads, there are such with the line
+            this much nearer to their tips: necks and rims are often too short for a whole pad.
+        tip_preference: Quality of these over the others.
+        num_looks: Poses that are looked at with a few points, at most.
+        num_poses: Poses that are checked thoroughly, at most.
         num_points: Surface points that stand for the object in collision and contact checks.
         friction: Coulomb coefficient; both contact normals must lie within its cone about the closing axis.
         jaw_clearance_m: Room to either side of the object before the jaws close, where the stroke allows it.
         min_clearance_m: Least room to either side; the widest graspable object is the stroke less twice this.
+        least_room_m: Least room around the whole gripper on its way in; samples of a surface miss about as much of it.
         good_clearance_m: Room around the gripper from which on more of it does not raise the quality.
         table_clearance_m: Least height of the gripper above the support.
         standoff_m: Length of the straight approach.
         max_climb: Largest component of the approach direction along up; 0.1 is 6 degrees from below level.
         side_preference: Quality of a level approach over that of one straight down.
-        balance_length_m: Level distance of the centre of mass from the closing line that costs a factor e.
+        balance_length_m: Distance of the centre of mass from the grasp that costs a factor e.
+        upright_lever: Share of that distance along up that counts.
         doubt_length_m: Standard deviation of the surface's position that costs unseen contact a factor e.
         gripper: Its boxes.
     """
 
-    num_rays: int = 500
+    num_rays: int = 5000
+    num_lines: int = 400
     num_directions: int = 12
+    tip_offset_m: float = 0.007
+    tip_preference: float = 0.85
+    num_looks: int = 4000
     num_poses: int = 600
     num_points: int = 4000
     friction: float = 0.5
     jaw_clearance_m: float = 0.010
     min_clearance_m: float = 0.002
+    least_room_m: float = 0.0015
     good_clearance_m: float = 0.008
     table_clearance_m: float = 0.004
     standoff_m: float = 0.10
     max_climb: float = 0.1
     side_preference: float = 0.9
     balance_length_m: float = 0.06
+    upright_lever: float = 0.3
     doubt_length_m: float = 0.010
     gripper: Gripper = field(default_factory=Gripper)
 
     def __post_init__(self) -> None:
         for knob in fields(self):
             value = getattr(self, knob.name)
-            if knob.name in ("gripper", "max_climb", "table_clearance_m", "min_clearance_m"):
+            if knob.name in ("gripper", "max_climb", "table_clearance_m", "min_clearance_m", "least_room_m"):
                 continue
             if not value > 0:
                 raise InvalidOption(f"GraspConfig.{knob.name} is {value}; a positive number is expected")

@@ -58,17 +58,24 @@ def find_contacts(
         facing = T_world_gripper[some, :3, 1].astype(np.float32) @ normals.T.astype(np.float32)
         touch_top = between & (y >= top[:, None] - _TOUCH_M) & (facing > 0)
         touch_bottom = between & (y <= bottom[:, None] + _TOUCH_M) & (facing < 0)
-        squareness[some] = np.minimum(_mean(facing, touch_top), _mean(-facing, touch_bottom))
-        everywhere = np.broadcast_to(odds, facing.shape)
-        realness[some] = (_mean(everywhere, touch_top) + _mean(everywhere, touch_bottom)) / 2
+        closing = T_world_gripper[some, :3, 1]
+        squareness[some] = np.minimum(
+            _cosine(_mean(normals, touch_top), closing), _cosine(_mean(normals, touch_bottom), -closing)
+        )
+        realness[some] = (_mean(odds[:, None], touch_top) + _mean(odds[:, None], touch_bottom))[:, 0] / 2
         low[some], high[some] = bottom, top
     found = np.isfinite(low) & np.isfinite(high) & np.isfinite(squareness)
     return Contacts(*(np.where(found, array, np.nan) for array in (low, high, squareness, realness)))
 
 
 def _mean(values: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Mean (p,) of (p, n) values under a (p, n) mask; NaN where it is empty."""
+    """Mean (p, c) of (n, c) values under a (p, n) mask; NaN where it is empty."""
     pose, point = np.nonzero(mask)  # few points touch, so they are summed one by one
-    sums = np.bincount(pose, values[pose, point], minlength=len(mask))
-    counts = np.bincount(pose, minlength=len(mask))
-    return np.divide(sums, counts, out=np.full(len(mask), np.nan), where=counts > 0)
+    sums = np.stack([np.bincount(pose, column, minlength=len(mask)) for column in values[point].T], axis=1)
+    counts = np.bincount(pose, minlength=len(mask))[:, None]
+    return np.divide(sums, counts, out=np.full(sums.shape, np.nan), where=counts > 0)
+
+
+def _cosine(vectors: np.ndarray, axes: np.ndarray) -> np.ndarray:
+    """Cosine (p,) between vectors (p, 3) and unit axes (p, 3); NaN where there is no vector."""
+    return np.einsum("pi,pi->p", vectors, axes) / np.maximum(np.linalg.norm(vectors, axis=1), 1e-12)

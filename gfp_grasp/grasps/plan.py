@@ -46,10 +46,12 @@ def plan_grasps(
     is a product of factors between 0 and 1:
 
     - squareness: cosine between closing axis and contact normal, the worse side, from the edge of the cone to 1;
-    - balance: exp(-d / balance_length_m), d the level distance from the grasp to the centre of mass;
+    - balance: exp(-d / balance_length_m), d the distance from the grasp to the centre of mass, of whose part along up
+      only the share upright_lever counts: gravity has no lever there, shaking has;
     - realness: mean over the contact patch of 1 where the surface was observed, exp(-sigma / doubt_length_m) elsewhere;
     - room: 1/2 to 1 as the gap around the gripper grows to good_clearance_m;
-    - approach: 1 from straight above, side_preference on the level.
+    - approach: 1 from straight above, side_preference on the level;
+    - seat: 1 with the closing line through the middle of the pads, tip_preference near their tips.
 
     Args:
         completion: Mesh, parts, what was observed, and its support; world frame.
@@ -68,17 +70,18 @@ def plan_grasps(
     config = config or GraspConfig()
     rng = np.random.default_rng(seed)
     support = _support_of(completion)
-    start, end = cast_closing_lines(completion.mesh, config=config, rng=rng)
+    start, end = cast_closing_lines(completion.mesh, support.normal, config=config, rng=rng)
     if len(start) == 0:
         return ()
     surface = _sample(completion, config, rng)
-    T, width = poses_about(start, end, support.normal, config=config)
-    T, width = _take(rng.permutation(len(T)), T, width)
-    T, width = _take(_looks_free(T, width, surface, support, config), T, width)
-    T, width = T[: config.num_poses], width[: config.num_poses]
-    T, width, contacts = _close_on(T, width, surface, config)
+    T, width, at_tip = poses_about(start, end, support.normal, config=config)
+    T, width, at_tip = _take(rng.permutation(len(T))[: config.num_looks], T, width, at_tip)
+    free = np.flatnonzero(_looks_free(T, width, surface, support, config))
+    T, width, at_tip = _take(free[: config.num_poses], T, width, at_tip)
+    T, width, at_tip, contacts = _close_on(T, width, at_tip, surface, config)
     opening = _opening(width, config)
     quality = _quality(T, opening, contacts, surface, support, config)
+    quality *= np.where(at_tip, config.tip_preference, 1.0)
     good = np.flatnonzero(quality > 0)
     best_first = good[np.argsort(-quality[good], kind="stable")]
     chosen = _distinct(T, best_first, num)
@@ -129,17 +132,19 @@ def _looks_free(
 
 
 def _close_on(
-    T: np.ndarray, width: np.ndarray, surface: _Surface, config: GraspConfig
-) -> tuple[np.ndarray, np.ndarray, Contacts]:
-    """Centre poses between the surfaces that the pads touch first; poses, widths (p,) m, contacts of those that fit."""
+    T: np.ndarray, width: np.ndarray, at_tip: np.ndarray, surface: _Surface, config: GraspConfig
+) -> tuple[np.ndarray, np.ndarray, np.ndarray, Contacts]:
+    """Centre poses between the surfaces that the pads touch first, and keep those whose width the jaws take."""
     opening = _opening(width, config)
     contacts = find_contacts(T, opening, surface.points, surface.normals, surface.odds, gripper=config.gripper)
     width = contacts.high_m - contacts.low_m
     fits = np.isfinite(width) & (width <= config.max_width_m)
-    T, width, *kept = _take(fits, T, width, contacts.low_m, contacts.high_m, contacts.squareness, contacts.realness)
+    T, width, at_tip, *kept = _take(
+        fits, T, width, at_tip, contacts.low_m, contacts.high_m, contacts.squareness, contacts.realness
+    )
     T = T.copy()
     T[:, :3, 3] += ((kept[0] + kept[1]) / 2)[:, None] * T[:, :3, 1]
-    return T, width, Contacts(*kept)
+    return T, width, at_tip, Contacts(*kept)
 
 
 def _quality(
@@ -158,11 +163,12 @@ def _quality(
     room = np.zeros(len(T))
     room[square > 0] = room_around(T[square > 0], opening[square > 0], surface.obstacle, **sweep)
     away = surface.centre - T[:, :3, 3]
-    away = away - (away @ support.normal)[:, None] * support.normal
-    balance = np.exp(-np.linalg.norm(away, axis=1) / config.balance_length_m)
+    upright = (away @ support.normal)[:, None] * support.normal
+    lever = np.linalg.norm(away - (1.0 - config.upright_lever) * upright, axis=1)
+    balance = np.exp(-lever / config.balance_length_m)
     steepness = np.clip(-T[:, :3, 2] @ support.normal, 0.0, 1.0)
     approach = config.side_preference + (1.0 - config.side_preference) * steepness
-    roominess = np.where(room > 0, 0.5 + 0.5 * np.clip(room / config.good_clearance_m, 0.0, 1.0), 0.0)
+    roominess = np.where(room > config.least_room_m, 0.5 + 0.5 * np.clip(room / config.good_clearance_m, 0.0, 1.0), 0.0)
     return square * balance * contacts.realness * roominess * approach
 
 
