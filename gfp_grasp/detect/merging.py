@@ -23,6 +23,7 @@ class MergeConfig:
         within: Share of a piece's ground points inside the other's outline from which it is inside the other.
         rim_gap_m: The far inside of a rim begins this near behind the near outside.
         touching_m, crumb: A piece this near, whose surface is a smaller share than this of the other's, belongs to it.
+        handle_width_m: A piece this narrow on the ground may have twice that share: it is a handle.
         cap: Largest share of surface that a cap or pump has of its bottle.
         compact: Length over width of the ground outline of one object in two pieces.
         same_top_m: Tops that agree to this are two sides of one rim.
@@ -33,6 +34,7 @@ class MergeConfig:
     rim_gap_m: float = 0.06
     touching_m: float = 0.005
     crumb: float = 0.15
+    handle_width_m: float = 0.025
     cap: float = 0.3
     compact: float = 1.4
     floats_m: float = 0.015
@@ -117,11 +119,17 @@ def _belongs(piece: _Piece, other: _Piece, gap: float, config: MergeConfig) -> b
     margin_m = _RIM_M if same_top else _NOISE_M  # the outside of a wall lies a wall's thickness beyond its inside
     if _share_within(piece.ground, other.ground, margin_m) > config.within:
         return True
-    if gap < config.touching_m and piece.area_m2 < config.crumb * other.area_m2:
+    thin = _width_m(piece.ground) < config.handle_width_m
+    if gap < config.touching_m and piece.area_m2 < (2 if thin else 1) * config.crumb * other.area_m2:
         return True
     if piece.low < config.floats_m:
         return False
     return same_top or piece.area_m2 < 0.5 * other.area_m2
+
+
+def _width_m(ground: np.ndarray) -> float:
+    _, low, high = smallest_rectangle(ground)
+    return float(high[1] - low[1])
 
 
 def _caps(piece: _Piece, other: _Piece, config: MergeConfig) -> bool:
