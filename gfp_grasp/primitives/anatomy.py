@@ -40,7 +40,10 @@ def enclosed(mesh: trimesh.Trimesh) -> np.ndarray:
     diagonal = float(np.linalg.norm(mesh.extents))
     normals = vertex_normals(mesh.vertices, mesh.faces)
     index = np.arange(_NUM_DIRECTIONS)
-    azimuth, height = index * np.pi * (3 - math.sqrt(5)), -0.6 * index / _NUM_DIRECTIONS  # a golden spiral, level to down
+    azimuth, height = (
+        index * np.pi * (3 - math.sqrt(5)),
+        -0.6 * index / _NUM_DIRECTIONS,
+    )  # a golden spiral, level to down
     level = np.sqrt(1 - height**2)
     directions = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), height], axis=1)
     ahead = normals @ directions.T > 0.1

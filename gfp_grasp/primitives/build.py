@@ -70,7 +70,9 @@ class BuildConfig:
         if self.orientation not in ("placed", "upright", "any"):
             raise InvalidOption(f"orientation is {self.orientation!r}: choose 'placed', 'upright' or 'any'")
         if self.rounds < 1 or not 0 < self.variance <= 1 or self.max_modes < 1 or self.min_members < 2:
-            raise InvalidOption(f"{self}: rounds >= 1, 0 < variance <= 1, max_modes >= 1, min_members >= 2 are expected")
+            raise InvalidOption(
+                f"{self}: rounds >= 1, 0 < variance <= 1, max_modes >= 1, min_members >= 2 are expected"
+            )
 
 
 def build_primitive(
@@ -100,7 +102,7 @@ def build_primitive(
     rng = np.random.default_rng(seed)
     dropped: Counter[str] = Counter()
     solids = _repair(meshes, dropped)
-    _enough(solids, dropped, config)
+    _enough(len(solids), dropped, config)
     members = bring_into_one_pose(solids, config.orientation, rng)
     template = remesh(members[choose_template(members, rng)], rng, config=config.remesh)
     vertices, faces = np.zeros((0, 0, 3)), np.asarray(template.faces)
@@ -109,7 +111,7 @@ def build_primitive(
             template = remesh(_mean_mesh(vertices, faces, config), rng, config=config.remesh)
         lost: Counter[str] = Counter()
         vertices, faces = _correspond(template, members, lost, config, seed, progress)
-        _enough(vertices, dropped + lost, config)
+        _enough(len(vertices), dropped + lost, config)
         if round_index == config.rounds - 1:
             dropped += lost
     placed = _into_frame(vertices, faces, config)
@@ -161,11 +163,11 @@ def _correspond(
     return np.array(fitted).reshape(len(fitted), len(template.vertices), 3), np.asarray(template.faces)
 
 
-def _enough(kept: Sequence, dropped: Counter[str], config: BuildConfig) -> None:
-    if len(kept) < config.min_members:
+def _enough(kept: int, dropped: Counter[str], config: BuildConfig) -> None:
+    if kept < config.min_members:
         reasons = ", ".join(f"{count} {reason}" for reason, count in dropped.items()) or "none was dropped"
         raise BuildFailed(
-            f"{len(kept)} members are left ({reasons}), {config.min_members} are needed: give more meshes of the class"
+            f"{kept} members are left ({reasons}), {config.min_members} are needed: give more meshes of the class"
         )
 
 
@@ -244,6 +246,7 @@ def _assemble(
     twin = twin_map = None
     if (regions == HANDLE).any():
         twin_map, twin_faces = without_handle(vertices, thin, regions)
+    if twin_map is not None:
         twin = GenericPrimitive(
             vertices=vertices[twin_map],
             faces=twin_faces,

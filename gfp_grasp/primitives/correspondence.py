@@ -8,7 +8,7 @@ import numpy as np
 import trimesh
 from scipy import sparse
 from scipy.sparse.linalg import splu
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.meshes import vertex_normals
@@ -117,7 +117,7 @@ class TemplateFitter:
         ahead = self._slide(surface.points[index] - vertices, surface.normals[index])
         good = ((surface.normals[index] * normals).sum(axis=1) > _COMPATIBLE).astype(float)
         points, point_normals = surface.points[back], surface.normals[back]
-        tree = cKDTree(np.hstack([vertices, normals * weight]))
+        tree = KDTree(np.hstack([vertices, normals * weight]))
         near = tree.query(np.hstack([points, point_normals * weight]))[1]
         offset = points - vertices[near]
         keep = ((point_normals * normals[near]).sum(axis=1) > _COMPATIBLE) & (np.linalg.norm(offset, axis=1) < reach)
@@ -132,7 +132,9 @@ class TemplateFitter:
         along = (offset * normals).sum(axis=1, keepdims=True) * normals
         return along + self._config.sliding * (offset - along)
 
-    def _finish(self, vertices: np.ndarray, surface: Surface, weight: float, rng: np.random.Generator) -> Correspondence:
+    def _finish(
+        self, vertices: np.ndarray, surface: Surface, weight: float, rng: np.random.Generator
+    ) -> Correspondence:
         normals = vertex_normals(vertices, self._faces)
         closest, closest_normals = surface.closest(vertices, normals, normal_weight_m=weight)
         near = np.linalg.norm(closest - vertices, axis=1) < 0.02 * self._diagonal
@@ -185,7 +187,7 @@ def _place_from(
     for _ in range(iterations):
         normals = vertex_normals(vertices, faces)
         index = surface.nearest(vertices, normals, normal_weight_m=weight)
-        near = cKDTree(np.hstack([vertices, normals * weight])).query(np.hstack([points, point_normals * weight]))[1]
+        near = KDTree(np.hstack([vertices, normals * weight])).query(np.hstack([points, point_normals * weight]))[1]
         source = np.vstack([vertices, vertices[near]])
         target = np.vstack([surface.points[index], points])
         share = np.r_[np.full(len(vertices), 1 / len(vertices)), np.full(len(points), 1 / len(points))]
@@ -214,7 +216,7 @@ def _operators(
     area = np.bincount(faces.ravel(), np.repeat(double_area / 6, 3), minlength=len(vertices))
     area = np.maximum(area, 1e-3 * area.mean())
     mass, inverse = sparse.diags(area).tocsc(), sparse.diags(1 / area).tocsc()
-    pairs = cKDTree(vertices).query_pairs(0.05 * diagonal, output_type="ndarray")
+    pairs = KDTree(vertices).query_pairs(0.05 * diagonal, output_type="ndarray")
     distance = np.linalg.norm(vertices[pairs[:, 0]] - vertices[pairs[:, 1]], axis=1)
     # Each vertex is bound as strongly to all of its neighbourhood as its own area over (5 % of the diagonal)^2.
     count = np.bincount(pairs.ravel(), minlength=len(vertices))
@@ -226,4 +228,6 @@ def _operators(
 
 def _laplacian(i: np.ndarray, j: np.ndarray, weight: np.ndarray, count: int) -> sparse.csc_matrix:
     rows, columns = np.concatenate([i, j, i, j]), np.concatenate([j, i, i, j])
-    return sparse.csc_matrix((np.concatenate([-weight, -weight, weight, weight]), (rows, columns)), shape=(count, count))
+    return sparse.csc_matrix(
+        (np.concatenate([-weight, -weight, weight, weight]), (rows, columns)), shape=(count, count)
+    )

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from gfp_grasp.errors import InvalidMesh, InvalidOption
 
@@ -57,7 +57,7 @@ def project(
             f"radius_m={radius_m}, degree={degree}, iterations={iterations}: a positive radius, degree 1 or 2 and at "
             "least one iteration are expected"
         )
-    tree = cKDTree(surface_points)
+    tree = KDTree(surface_points)
     for _ in range(iterations):
         points = _project_once(points, normals, tree, surface_points, surface_normals, radius_m, degree, num_neighbours)
     return points
@@ -66,7 +66,7 @@ def project(
 def _project_once(
     points: np.ndarray,
     normals: np.ndarray,
-    tree: cKDTree,
+    tree: KDTree,
     surface_points: np.ndarray,
     surface_normals: np.ndarray,
     radius_m: float,

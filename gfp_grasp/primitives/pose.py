@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 import trimesh
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 
 from gfp_grasp.meshes import sample_surface
@@ -24,7 +24,11 @@ _REFINED, _FINISHED = 12, 3
 
 
 def bring_into_one_pose(
-    members: Sequence[trimesh.Trimesh], orientation: str, rng: np.random.Generator
+    members: Sequence[trimesh.Trimesh],
+    orientation: str,
+    rng: np.random.Generator,
+    *,
+    reference: trimesh.Trimesh | None = None,
 ) -> list[trimesh.Trimesh]:
     """Turn, shift and scale members onto one of them, which is stood upright.
 
@@ -32,26 +36,32 @@ def bring_into_one_pose(
         members: Closed, any size.
         orientation: "placed" leaves them alone; "upright" turns about z only; "any" turns freely.
         rng: For samples and the choice of the member that the others are turned onto.
+        reference: What they are turned onto instead: the mean of a class, in its frame.
 
     Returns:
         Turned and centred copies, each in its own size. Shapes that look alike in several poses end in one of them.
     """
     if orientation == "placed":
         return list(members)
-    chosen = members[choose_template(members, rng)].copy()
-    standing = stand_up(np.array(chosen.vertices)[None], chosen.vertices, chosen.faces, upright=orientation == "upright")
-    chosen.vertices = standing[0]
-    reference = _Cloud(chosen, rng)
+    target = _Cloud(_standing(members, orientation, rng) if reference is None else reference, rng)
     turns = _yaw_turns() if orientation == "upright" else _all_turns()
     axis = _UP if orientation == "upright" else None
     posed = []
     for member in members:
         cloud = _Cloud(member, rng)
-        move = _register(cloud, reference, turns, axis)
+        move = _register(cloud, target, turns, axis)
         turned = member.copy()
         turned.vertices = (np.asarray(member.vertices) - cloud.centre) @ move.R.T + move.t * cloud.size
         posed.append(turned)
     return posed
+
+
+def _standing(members: Sequence[trimesh.Trimesh], orientation: str, rng: np.random.Generator) -> trimesh.Trimesh:
+    """The most central member, stood upright."""
+    chosen = members[choose_template(members, rng)]
+    vertices = np.asarray(chosen.vertices)
+    standing = stand_up(vertices[None], vertices, chosen.faces, upright=orientation == "upright")[0]
+    return trimesh.Trimesh(standing, chosen.faces, process=False)
 
 
 class _Cloud:
@@ -62,7 +72,7 @@ class _Cloud:
         self.centre = points.mean(axis=0)
         self.size = float(np.sqrt(((points - self.centre) ** 2).sum(axis=1).mean()))
         self.points = (points - self.centre) / self.size
-        self.tree = cKDTree(np.hstack([self.points, self.normals * _NORMAL_WEIGHT]))
+        self.tree = KDTree(np.hstack([self.points, self.normals * _NORMAL_WEIGHT]))
 
 
 def _register(source: _Cloud, target: _Cloud, turns: np.ndarray, axis: np.ndarray | None) -> Similarity:

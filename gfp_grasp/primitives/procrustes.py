@@ -68,7 +68,9 @@ def align(
     """
     source, target = _points(source, "source"), _points(target, "target")
     if source.shape != target.shape:
-        raise InvalidMesh(f"source has {len(source)} points, target {len(target)}: give corresponding points, row by row")
+        raise InvalidMesh(
+            f"source has {len(source)} points, target {len(target)}: give corresponding points, row by row"
+        )
     w = np.full(len(source), 1.0) if weights is None else np.asarray(weights, dtype=np.float64)
     w = w / w.sum()
     source_centre, target_centre = w @ source, w @ target
@@ -114,8 +116,9 @@ def generalized(
     mean = _centred(shapes[0], w) * (size / sizes[0] if scaling else 1.0)
     transforms: list[Similarity] = []
     aligned = shapes
-    iteration = 0
-    for iteration in range(1, max_iterations + 1):
+    rounds = 0
+    while rounds < max_iterations:
+        rounds += 1
         transforms = [align(shape, mean, scaling=scaling, weights=w, axis=axis) for shape in shapes]
         aligned = np.stack([move.apply(shape) for move, shape in zip(transforms, shapes, strict=True)])
         new = _centred(aligned.mean(axis=0), w)
@@ -125,7 +128,7 @@ def generalized(
         mean = new
         if moved <= tolerance * centroid_size(mean, weights=w):
             break
-    return GeneralizedProcrustes(mean, aligned, tuple(transforms), iteration)
+    return GeneralizedProcrustes(mean, aligned, tuple(transforms), rounds)
 
 
 def centroid_size(points: np.ndarray, *, weights: np.ndarray | None = None, centre: bool = True) -> float:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import manifold3d
 import numpy as np
 import trimesh
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from gfp_grasp.errors import InvalidMesh, InvalidOption
 from gfp_grasp.meshes import vertex_normals
@@ -40,11 +40,13 @@ class RemeshConfig:
     iterations: int = 6
 
     def __post_init__(self) -> None:
-        if not (0 < self.tolerance and 0 < self.min_edge <= self.max_edge < 1 and self.iterations >= 1):
+        if not (self.tolerance > 0 and 0 < self.min_edge <= self.max_edge < 1 and self.iterations >= 1):
             raise InvalidOption(f"{self}: 0 < tolerance, 0 < min_edge <= max_edge < 1 and iterations >= 1 are expected")
 
 
-def remesh(mesh: trimesh.Trimesh, rng: np.random.Generator, *, config: RemeshConfig = RemeshConfig()) -> trimesh.Trimesh:
+def remesh(
+    mesh: trimesh.Trimesh, rng: np.random.Generator, *, config: RemeshConfig = RemeshConfig()
+) -> trimesh.Trimesh:
     """A closed mesh of the same surface with well-shaped triangles.
 
     Edge lengths follow curvature as in Dunyach et al., Eurographics 2013 (short papers), equation 2; the rounds of
@@ -109,7 +111,7 @@ class _WantedLength:
                 np.minimum.at(wanted, edges[:, a], before[edges[:, b]] + _GRADING * lengths)
             if np.array_equal(before, wanted):
                 break
-        self._tree, self._wanted = cKDTree(points), wanted
+        self._tree, self._wanted = KDTree(points), wanted
 
     def __call__(self, points: np.ndarray) -> np.ndarray:
         return self._wanted[self._tree.query(points)[1]]
@@ -199,7 +201,9 @@ def _rings(faces: np.ndarray, count: int) -> tuple[list[set[int]], list[set[int]
 
 def _bend(normals: np.ndarray, around: list[set[int]], count: int) -> np.ndarray:
     """How much the faces around each vertex disagree: 0 where flat, towards 1 at a spike."""
-    return np.array([1 - np.linalg.norm(normals[list(around[i])].mean(axis=0)) if around[i] else 0 for i in range(count)])
+    return np.array(
+        [1 - np.linalg.norm(normals[list(around[i])].mean(axis=0)) if around[i] else 0 for i in range(count)]
+    )
 
 
 def _stays_flat(vertices, faces, normals, index: set[int], ends: tuple[int, int], place: np.ndarray) -> bool:

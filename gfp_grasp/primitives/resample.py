@@ -9,7 +9,7 @@ import numpy as np
 import trimesh
 from scipy import sparse
 from scipy.sparse.linalg import splu
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.meshes import crossing_faces, vertex_normals
@@ -185,7 +185,7 @@ def _carrier(dense: np.ndarray, faces: np.ndarray, kept: np.ndarray, thin: np.nd
 
 def _nearest_faces(points, normals, triangles, face_normals) -> tuple[np.ndarray, np.ndarray]:
     """The face (n,) on the same sheet that is nearest to each point, and the barycentric weights (n, 3) of its foot."""
-    tree = cKDTree(triangles.mean(axis=1))
+    tree = KDTree(triangles.mean(axis=1))
     index = tree.query(points, k=min(24, len(triangles)))[1]
     flat = np.repeat(points, index.shape[1], axis=0)
     feet = trimesh.triangles.closest_point(triangles[index.ravel()], flat).reshape(*index.shape, 3)

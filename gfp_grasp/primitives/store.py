@@ -54,7 +54,9 @@ def load_primitive(category: str) -> GenericPrimitive:
     """
     if category not in list_primitives():
         there = ", ".join(list_primitives()) or "none"
-        raise UnknownCategory(f"no primitive for {category!r}: choose one of {there}, or build it (`gfp-grasp gps build`)")
+        raise UnknownCategory(
+            f"no primitive for {category!r}: choose one of {there}, or build it (`gfp-grasp gps build`)"
+        )
     return read_primitive(data_dir("gps") / f"{category}.safetensors")
 
 
@@ -82,7 +84,9 @@ def read_primitive(path: str | Path) -> GenericPrimitive:
         raise UnreadableFile(f"{path} is not a primitive with its card ({error}): build it again") from error
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
     if card.get("sha256") != digest:
-        raise UnreadableFile(f"{path} has sha256 {digest[:12]}, its card says {str(card.get('sha256'))[:12]}: rebuild it")
+        raise UnreadableFile(
+            f"{path} has sha256 {digest[:12]}, its card says {str(card.get('sha256'))[:12]}: rebuild it"
+        )
     try:
         return _from_arrays(arrays, "", card)
     except KeyError as error:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import trimesh
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from gfp_grasp.meshes import sample_surface
 
@@ -26,7 +26,7 @@ class Surface:
         self._candidates = np.vstack([self.points, self._triangles.mean(axis=1)])
         self._candidate_normals = np.vstack([self.normals, self._face_normals])
         self._candidate_faces = np.concatenate([self.face_index, np.arange(len(self._triangles))])
-        self._trees: dict[tuple[bool, float], cKDTree] = {}
+        self._trees: dict[tuple[bool, float], KDTree] = {}
 
     def nearest(self, points: np.ndarray, normals: np.ndarray, *, normal_weight_m: float) -> np.ndarray:
         """Index (n,) of the sample nearest in position and normal; a right angle costs 1.4 normal_weight_m."""
@@ -64,12 +64,12 @@ class Surface:
         rows = np.arange(len(points))
         return candidates[rows, best], self._face_normals[faces[rows, best]]
 
-    def _tree(self, normal_weight_m: float, *, exact: bool) -> cKDTree:
+    def _tree(self, normal_weight_m: float, *, exact: bool) -> KDTree:
         key = (exact, normal_weight_m)
         if key not in self._trees:
             points, normals = (self._candidates, self._candidate_normals) if exact else (self.points, self.normals)
             features = np.hstack([points, normals * normal_weight_m]) if normal_weight_m > 0 else points
-            self._trees[key] = cKDTree(features)
+            self._trees[key] = KDTree(features)
         return self._trees[key]
 
 

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 import trimesh
-from scipy.spatial import cKDTree
+from scipy.spatial import KDTree
 
 from gfp_grasp.meshes import sample_surface
 
@@ -30,7 +30,7 @@ def choose_template(members: Sequence[trimesh.Trimesh], rng: np.random.Generator
     fitting = [i for i, member in enumerate(members) if member.euler_number == commonest]
     chosen = rng.permutation(fitting)[:num_candidates]
     features = [_features(members[i], rng) for i in chosen]
-    trees = [cKDTree(feature) for feature in features]
+    trees = [KDTree(feature) for feature in features]
     distance = np.array([[tree.query(feature)[0].mean() for tree in trees] for feature in features])
     # The median, not the mean: a few odd members do not decide which one is central.
     return int(chosen[np.median(distance + distance.T, axis=1).argmin()])

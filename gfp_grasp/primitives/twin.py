@@ -9,7 +9,7 @@ from gfp_grasp.errors import BuildFailed
 from gfp_grasp.meshes import crossing_faces
 from gfp_grasp.types import HANDLE
 
-_MAX_GROWTH = 3
+_MAX_GROWTH = 5
 
 
 def without_handle(vertices: np.ndarray, faces: np.ndarray, regions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -39,7 +39,9 @@ def without_handle(vertices: np.ndarray, faces: np.ndarray, regions: np.ndarray)
                 return kept, body
         handle = handle.copy()
         handle[faces[handle[faces].any(axis=1)]] = True  # one ring wider, and again
-    raise BuildFailed("the handle cannot be cut off cleanly: the mean mesh has its attachment too near to the rim or base")
+    raise BuildFailed(
+        "the handle cannot be cut off cleanly: the mean mesh has its attachment too near to the rim or base"
+    )
 
 
 def _loops(faces: np.ndarray) -> list[list[int]] | None:

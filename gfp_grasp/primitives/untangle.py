@@ -79,7 +79,7 @@ def neighbour_average(faces: np.ndarray, count: int) -> sparse.csr_matrix:
         (np.ones(2 * len(rows)), (np.concatenate([rows, columns]), np.concatenate([columns, rows]))), (count, count)
     )
     adjacency.data[:] = 1.0  # each edge was counted from both of its faces
-    return sparse.diags(1 / np.maximum(adjacency.sum(axis=1).A1, 1)) @ adjacency
+    return sparse.diags(1 / np.maximum(np.asarray(adjacency.sum(axis=1)).ravel(), 1)) @ adjacency
 
 
 def _grown(bad: np.ndarray, faces: np.ndarray, count: int, rings: int) -> np.ndarray:
