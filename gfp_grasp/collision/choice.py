@@ -17,7 +17,7 @@ from gfp_grasp.types import CollisionMesh, CompletedShape
 
 # Mean error of carried parts over the diagonal, beyond which CoACD is worth its time. A mug's parts carried through a
 # bulge of a fifth of its radius stay below 0.01.
-_CARRIED_LIMIT = 0.02
+_CARRIED_LIMIT = 0.01
 # The hull of a convex mesh adds nothing but rounding to its volume.
 _CONVEX_EXCESS = 1e-3
 
@@ -26,7 +26,7 @@ def collision_of(shape: CompletedShape) -> CollisionMesh:
     """Convex parts of a completed shape.
 
     The parts of the primitive it was fitted with are carried along where the mesh has the primitive's (or its twin's)
-    vertices and the result is within 2 % of the diagonal on average; a convex mesh is its own hull; else CoACD runs.
+    vertices and the result is within 1 % of the diagonal on average; a convex mesh is its own hull; else CoACD runs.
 
     Args:
         shape: Its mesh in any frame; the parts come in the same.

@@ -68,10 +68,9 @@ def volume_m3(part: ConvexPart) -> float:
 
 
 def _outward(points: np.ndarray, hull: ConvexHull) -> np.ndarray:
-    """Faces (q, 3) of a hull, numbered by its corners, wound so that their normals point outward."""
+    """Faces (q, 3) of a hull around the origin, numbered by its corners, wound so that their normals point outward."""
     faces = hull.simplices
-    a, b, c = (points[faces[:, i]] for i in range(3))
-    inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0
+    inward = np.linalg.det(points[faces]) < 0
     faces = np.where(inward[:, None], faces[:, ::-1], faces)
     number = np.empty(len(points), dtype=np.int64)
     number[hull.vertices] = np.arange(len(hull.vertices))

@@ -23,8 +23,8 @@ def union_error_m(
 ) -> tuple[float, float, float]:
     """Two-sided distance between the surface of the parts' union and a mesh.
 
-    Samples lie on both surfaces; each is measured to the triangles of the nearest samples of the other, so that the
-    spacing of the samples does not count as error. Surfaces of parts within other parts are left out.
+    Samples lie on both surfaces; each is measured to the triangles of the other whose centroids or samples are nearest,
+    so that the spacing of the samples does not count as error. Surfaces of parts within other parts are left out.
 
     Args:
         parts: Convex parts, m.
@@ -38,23 +38,24 @@ def union_error_m(
     step = _STEP * float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
     part_triangles = np.concatenate([part.vertices[part.faces] for part in parts])
     owner = np.repeat(np.arange(len(parts)), [len(part.faces) for part in parts])
-    of_union, triangle = _samples(part_triangles, 2 * count, rng)
-    normals = _normals(part_triangles)[triangle]
-    inside = within_parts(of_union + step * normals, parts)
-    inside[np.arange(len(of_union)), owner[triangle]] = False
+    anchors, triangle, sampled = _anchors(part_triangles, 2 * count, rng)
+    inside = within_parts(anchors + step * _normals(part_triangles)[triangle], parts)
+    inside[np.arange(len(anchors)), owner[triangle]] = False
     seen = np.logical_not(inside.any(axis=1))
-    if not seen.any():  # parts all within each other: nothing can be hidden but by rounding
+    if not seen[sampled].any():  # parts all within each other: nothing can be hidden but by rounding
         seen[:] = True
-    of_union, triangle = of_union[seen], triangle[seen]
+    of_union = anchors[seen & sampled]
+    anchors, union_triangles = anchors[seen], part_triangles[triangle[seen]]
 
     mesh_triangles = np.asarray(mesh.triangles)
-    of_mesh, mesh_triangle = _samples(mesh_triangles, count, rng)
-    to_mesh, _ = _nearest(of_union, of_mesh, mesh_triangles[mesh_triangle])
-    to_union, foot = _nearest(of_mesh, of_union, part_triangles[triangle])
-    # A foot on the hidden stretch of a triangle is no surface: the nearest sample that is seen stands in for it.
+    mesh_anchors, triangle, sampled = _anchors(mesh_triangles, count, rng)
+    of_mesh = mesh_anchors[sampled]
+    to_mesh, _ = _nearest(of_union, mesh_anchors, mesh_triangles[triangle])
+    to_union, foot = _nearest(of_mesh, anchors, union_triangles)
+    # A foot on the hidden stretch of a triangle is no surface: the nearest anchor that is seen stands in for it.
     hidden = within_parts(foot, parts, margin_m=-step).any(axis=1)
     if hidden.any():
-        to_union[hidden] = KDTree(of_union).query(of_mesh[hidden])[0]
+        to_union[hidden] = KDTree(anchors).query(of_mesh[hidden])[0]
     return _mean_p95_max(to_mesh, to_union)
 
 
@@ -76,6 +77,14 @@ def union_volume_m3(parts: Sequence[ConvexPart], *, count: int = 4000, rng: np.r
     return float(sum(map(volume_m3, parts)) * (1 / within.sum(axis=1)).mean())
 
 
+def _anchors(triangles: np.ndarray, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Samples by area, which large triangles have many of, then all centroids; their triangles; which are samples."""
+    points, index = _samples(triangles, count, rng)
+    anchors = np.concatenate([points, triangles.mean(axis=1)])
+    owner = np.concatenate([index, np.arange(len(triangles))])
+    return anchors, owner, np.arange(len(anchors)) < count
+
+
 def _samples(triangles: np.ndarray, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     area = np.linalg.norm(_cross(triangles), axis=1)
     # Even steps through the area, and an R2 sequence within each triangle: a gap between independent draws would let a
@@ -88,10 +97,10 @@ def _samples(triangles: np.ndarray, count: int, rng: np.random.Generator) -> tup
     return (1 - u) * a + u * (1 - v) * b + u * v * c, index
 
 
-def _nearest(points: np.ndarray, samples: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distance (n,) of points to the triangles of their nearest samples, and its foot (n, 3)."""
-    k = min(_NEIGHBOURS, len(samples))
-    _, near = KDTree(samples).query(points, k=k)
+def _nearest(points: np.ndarray, anchors: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Distance (n,) of points to the triangles of their nearest anchors, and its foot (n, 3)."""
+    k = min(_NEIGHBOURS, len(anchors))
+    _, near = KDTree(anchors).query(points, k=k)
     near = near.reshape(len(points), k)
     feet = trimesh.triangles.closest_point(triangles[near.ravel()], np.repeat(points, k, axis=0))
     distance = np.linalg.norm(feet.reshape(-1, k, 3) - points[:, None], axis=2)

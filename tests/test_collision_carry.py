@@ -1,0 +1,234 @@
+"""Parts that ride along with a primitive, and the choice between ways to collision parts."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from gfp_grasp.collision import DecomposeConfig, carry_parts, collision_of, decompose
+from gfp_grasp.collision.convex import volume_m3, within_parts
+from gfp_grasp.collision.fidelity import union_error_m
+from gfp_grasp.errors import AssetMissing, DecompositionFailed, InvalidMesh, UnknownCategory
+from gfp_grasp.primitives import load_primitive
+from gfp_grasp.types import CompletedShape, ConvexPart, FittedPrimitive, GenericPrimitive, Symmetry
+
+OUTER, INNER, FLOOR, HEIGHT = 0.04, 0.036, 0.004, 0.1
+
+
+def square_cup() -> tuple[trimesh.Trimesh, tuple[ConvexPart, ...]]:
+    """A square cup, 80 mm wide, walls of 4 mm, in triangles of at most 10 mm; and the five boxes it consists of."""
+    solid = trimesh.boolean.difference(
+        [
+            trimesh.creation.box(bounds=[[-OUTER, -OUTER, 0], [OUTER, OUTER, HEIGHT]]),
+            trimesh.creation.box(bounds=[[-INNER, -INNER, FLOOR], [INNER, INNER, 2 * HEIGHT]]),
+        ]
+    )
+    for _ in range(4):
+        solid = solid.subdivide()
+    bounds = [
+        [[-OUTER, -OUTER, 0], [OUTER, OUTER, FLOOR]],
+        [[-OUTER, -OUTER, FLOOR], [-INNER, OUTER, HEIGHT]],
+        [[INNER, -OUTER, FLOOR], [OUTER, OUTER, HEIGHT]],
+        [[-INNER, -OUTER, FLOOR], [INNER, -INNER, HEIGHT]],
+        [[-INNER, INNER, FLOOR], [INNER, OUTER, HEIGHT]],
+    ]
+    boxes = [trimesh.creation.box(bounds=bound) for bound in bounds]
+    return solid, tuple(ConvexPart(box.vertices, box.faces) for box in boxes)
+
+
+def primitive(
+    mesh: trimesh.Trimesh, parts: tuple[ConvexPart, ...], twin: GenericPrimitive | None = None
+) -> GenericPrimitive:
+    v = len(mesh.vertices)
+    return GenericPrimitive(
+        category="cup",
+        vertices=mesh.vertices,
+        faces=mesh.faces,
+        modes=np.zeros((0, v, 3)),
+        explained=np.zeros(0),
+        log_scale_cov=np.eye(3),
+        coefficient_samples=np.zeros((1, 3)),
+        symmetry=Symmetry(np.array([0, 0, 1.0]), 4),
+        up=np.array([0, 0, 1.0]),
+        regions=np.zeros(v),
+        parts=parts,
+        twin=twin,
+        twin_map=None if twin is None else np.arange(len(twin.vertices)),
+    )
+
+
+def completed(mesh: trimesh.Trimesh, template: GenericPrimitive | None) -> CompletedShape:
+    v = len(mesh.vertices)
+    fit = None
+    if template is not None:
+        fit = FittedPrimitive(template, np.eye(4), np.ones(3), np.zeros(0), residual_m=0.0)
+    return CompletedShape(mesh, np.zeros(v, bool), np.zeros(v), fit)
+
+
+CUP, BOXES = square_cup()
+TEMPLATE = primitive(CUP, BOXES)
+
+
+def tapered(vertices: np.ndarray) -> np.ndarray:
+    """Wider towards the top, by half at the rim, and slightly taller."""
+    share = vertices[:, 2:] / HEIGHT
+    return np.column_stack([vertices[:, :2] * (1 + 0.5 * share), vertices[:, 2] * 1.1])
+
+
+def test_an_undeformed_primitive_has_its_own_parts():
+    found = carry_parts(TEMPLATE, CUP.vertices)
+    assert [volume_m3(part) for part in found] == pytest.approx([volume_m3(box) for box in BOXES])
+    for part, box in zip(found, BOXES, strict=True):
+        np.testing.assert_allclose(np.ptp(part.vertices, axis=0), np.ptp(box.vertices, axis=0), atol=1e-8)
+
+
+def test_parts_go_where_a_similarity_goes():
+    turn = trimesh.transformations.random_rotation_matrix(np.array([0.2, 0.5, 0.9]))[:3, :3]
+    there = carry_parts(TEMPLATE, tapered(CUP.vertices))
+    moved = carry_parts(TEMPLATE, 1.3 * tapered(CUP.vertices) @ turn.T + [1, 2, 3])
+    assert [volume_m3(part) for part in moved] == pytest.approx([1.3**3 * volume_m3(part) for part in there])
+    for one, other in zip(there, moved, strict=True):
+        assert within_parts(1.3 * one.vertices @ turn.T + [1, 2, 3], [other], margin_m=1e-8).all()
+
+
+def test_parts_of_a_deformed_cup_follow_its_walls_and_leave_it_hollow():
+    deformed = trimesh.Trimesh(tapered(CUP.vertices), CUP.faces, process=False)
+    found = carry_parts(TEMPLATE, deformed.vertices)
+    mean, _, largest = union_error_m(found, deformed, rng=np.random.default_rng(0))
+    assert mean < 2e-4
+    assert largest < 3e-3
+    assert sum(map(volume_m3, found)) == pytest.approx(deformed.volume, rel=0.02)
+    assert within_parts(deformed.vertices, found, margin_m=1e-4).any(axis=1).all()
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.03)
+    assert not within_parts(np.add(ball.vertices, [0, 0, 0.05]), found).any()
+
+
+def test_a_part_bulges_with_the_surface_between_its_corners():
+    vertices = np.array(CUP.vertices)
+    side = np.isclose(vertices[:, 0], OUTER)
+    vertices[side, 0] += 0.01 * np.sin(np.pi * vertices[side, 2] / HEIGHT)
+    found = carry_parts(TEMPLATE, vertices)
+    assert found[2].vertices[:, 0].max() == pytest.approx(OUTER + 0.01, abs=1e-3)
+
+
+def test_points_off_the_surface_keep_their_height_in_proportion():
+    solid = trimesh.creation.box((0.1, 0.1, 0.1))
+    for _ in range(2):
+        solid = solid.subdivide()
+    inner = trimesh.creation.box((0.09, 0.09, 0.09))
+    found = carry_parts(primitive(solid, (ConvexPart(inner.vertices, inner.faces),)), 2 * solid.vertices)
+    np.testing.assert_allclose(np.ptp(found[0].vertices, axis=0), 0.18, rtol=1e-6)
+
+
+def test_the_twin_stands_in_where_the_vertices_are_its_own():
+    handle = trimesh.creation.box(bounds=[[0.035, -0.005, 0.03], [0.07, 0.005, 0.07]])
+    with_handle = trimesh.util.concatenate([CUP, handle])
+    whole = primitive(with_handle, (*BOXES, ConvexPart(handle.vertices, handle.faces)), twin=TEMPLATE)  # pyright: ignore
+    assert len(carry_parts(whole, with_handle.vertices)) == 6  # pyright: ignore
+    assert len(carry_parts(whole, CUP.vertices)) == 5
+    assert collision_of(completed(CUP, whole)).made_by == "carried"
+
+
+@pytest.mark.parametrize("vertices", [np.zeros((5, 3)), np.full_like(CUP.vertices, np.nan), CUP.vertices[:, :2]])
+def test_vertices_that_are_not_the_primitives_are_refused(vertices):
+    with pytest.raises(InvalidMesh):
+        carry_parts(TEMPLATE, vertices)
+
+
+def test_a_primitive_without_parts_and_a_flattening_are_refused():
+    with pytest.raises(InvalidMesh, match="decompose_fine"):
+        carry_parts(primitive(CUP, ()), CUP.vertices)
+    with pytest.raises(InvalidMesh, match="flat"):
+        carry_parts(TEMPLATE, CUP.vertices * [1, 1, 0])
+
+
+def test_a_fitted_shape_gets_carried_parts_with_their_error():
+    mesh = trimesh.Trimesh(tapered(CUP.vertices), CUP.faces, process=False)
+    found = collision_of(completed(mesh, TEMPLATE))
+    assert found.made_by == "carried"
+    assert 0 < found.error_m[0] < found.error_m[1] < found.error_m[2] < 3e-3
+    assert found.notes["dropped"] == 0
+    assert found.notes["volume_ratio"] == pytest.approx(1, abs=0.02)
+
+
+def test_a_convex_shape_gets_its_hull():
+    found = collision_of(completed(trimesh.creation.icosphere(subdivisions=2, radius=0.05), None))
+    assert found.made_by == "hull"
+    assert len(found.parts) == 1
+
+
+def test_any_other_shape_goes_through_coacd():
+    bars = [[[0, 0, 0], [0.1, 0.02, 0.02]], [[0, 0, 0], [0.02, 0.1, 0.02]]]
+    mesh = trimesh.boolean.union([trimesh.creation.box(bounds=bound) for bound in bars])
+    for template in (None, TEMPLATE):
+        found = collision_of(completed(mesh, template))
+        assert found.made_by == "coacd"
+        assert len(found.parts) == 2
+
+
+def test_carried_parts_that_miss_the_shape_give_way_to_better_ones(monkeypatch):
+    filled = primitive(CUP, (ConvexPart(CUP.convex_hull.vertices, CUP.convex_hull.faces),))
+    monkeypatch.setattr("gfp_grasp.collision.choice._CARRIED_LIMIT", 1e-3)
+    called = []
+
+    def five_boxes(mesh):
+        called.append(mesh)
+        return collision_of(completed(mesh, TEMPLATE))
+
+    monkeypatch.setattr("gfp_grasp.collision.choice.decompose", five_boxes)
+    found = collision_of(completed(CUP, filled))
+    assert len(called) == 1
+    assert len(found.parts) == 5
+
+
+def test_carried_parts_are_kept_with_a_warning_where_coacd_fails(monkeypatch):
+    def lost(_):
+        raise DecompositionFailed("no luck")
+
+    filled = primitive(CUP, (ConvexPart(CUP.convex_hull.vertices, CUP.convex_hull.faces),))
+    monkeypatch.setattr("gfp_grasp.collision.choice._CARRIED_LIMIT", 1e-3)
+    monkeypatch.setattr("gfp_grasp.collision.choice.decompose", lost)
+    with pytest.warns(RuntimeWarning, match=r"mm on average.*no luck"):
+        found = collision_of(completed(CUP, filled))
+    assert found.made_by == "carried"
+    assert "warning" in found.notes
+
+
+def shipped(category: str) -> GenericPrimitive:
+    try:
+        found = load_primitive(category)
+    except (AssetMissing, UnknownCategory):
+        pytest.skip(f"no primitive {category!r} is built")
+    if not found.parts:
+        pytest.skip(f"primitive {category!r} is built without parts")
+    return found
+
+
+@pytest.mark.parametrize("category", ["cup", "mug", "bottle"])
+def test_parts_of_shipped_primitives_follow_the_members_they_were_built_from(category):
+    template = shipped(category)
+    num_modes = len(template.modes)
+    errors = []
+    for sample in template.coefficient_samples[:8]:
+        vertices = template.shape(sample[:num_modes], np.exp(sample[num_modes:]))
+        mesh = trimesh.Trimesh(vertices, template.faces, process=False)
+        errors.append(union_error_m(carry_parts(template, vertices), mesh, rng=np.random.default_rng(0))[0])
+    assert np.median(errors) < 1.5e-3
+
+
+@pytest.mark.parametrize("category", ["cup", "mug"])
+def test_a_ball_of_10_mm_fits_between_the_parts_of_shipped_primitives(category):
+    template = shipped(category)
+    inside = template.vertices[template.regions == 1]
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.01)
+    found = carry_parts(template, template.vertices)
+    for height in (inside[:, 2].min() + 0.015, inside[:, 2].mean()):
+        assert not within_parts(np.add(ball.vertices, [0, 0, height]), found).any()
+
+
+@pytest.mark.slow
+def test_carried_parts_are_as_true_as_coacd_run_afresh():
+    deformed = trimesh.Trimesh(tapered(CUP.vertices), CUP.faces, process=False)
+    fresh = decompose(deformed, config=DecomposeConfig(mcts_iterations=60, mcts_nodes=10))
+    carried = collision_of(completed(deformed, TEMPLATE))
+    assert carried.error_m[0] <= fresh.error_m[0] + 1e-4
+    assert carried.seconds < fresh.seconds / 10
