@@ -14,13 +14,15 @@ from gfp_grasp.envs import run_trial
 from gfp_grasp.envs.picture import shade
 from gfp_grasp.grasps import plan_grasps
 from gfp_grasp.scenes.stage import Stage
+from gfp_grasp.transforms import look_at
 from gfp_grasp.types import Detection, Grasp, Outcome
 
 _NUM_GRASPS = 16
 # A neighbour whose box comes closer than this to the object's can be in the gripper's way.
 _NEIGHBOUR_M = 0.15
-_FRAME_PX = (360, 270)
-_COMMANDS_A_FRAME = 9  # 90 ms of simulation, shown for 60 ms
+# 120 ms of simulation between two frames, which are shown for 60 ms each.
+_COMMANDS_A_FRAME = 12
+_FILM = {"width": 320, "height": 240, "T_world_camera": look_at((0.52, -0.46, 0.40), (0.0, 0.0, 0.12))}
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,14 +39,14 @@ class _Among:
 def plan_among(
     completion: Completion, all_of_them: Sequence[Completion], *, seed: int
 ) -> tuple[tuple[Grasp, ...], float]:
-    """Grasps on one completion that stay clear of the others, best first, and the seconds that it took."""
-    start = time.perf_counter()
+    """Grasps on one completion that stay clear of the others, best first, and the seconds of planning."""
     low, high = completion.mesh.bounds
     parts = list(completion.parts)
     for other in all_of_them:
         near = (other.mesh.bounds[0] < high + _NEIGHBOUR_M).all() and (other.mesh.bounds[1] > low - _NEIGHBOUR_M).all()
         if other is not completion and near:
             parts += other.parts
+    start = time.perf_counter()
     scene = _Among(completion.mesh, tuple(parts), completion.observed, completion.sigma_m, completion.detection)
     return plan_grasps(scene, _NUM_GRASPS, seed=seed), time.perf_counter() - start
 
@@ -68,7 +70,7 @@ def attempt(stage: Stage, grasp: Grasp, target: str, *, film: bool = False) -> t
     def watch(data: object) -> None:
         nonlocal commands
         if commands % _COMMANDS_A_FRAME == 0:
-            frames.append(shade(stage.model, data, width=_FRAME_PX[0], height=_FRAME_PX[1]))
+            frames.append(shade(stage.model, data, **_FILM))
         commands += 1
 
     outcome = run_trial(stage.model, stage.data, grasp, target=target, on_step=watch if film else None)

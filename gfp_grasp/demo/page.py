@@ -54,8 +54,9 @@ tried there.</p>
 <p>Made by <code>{html.escape(command)}</code>.</p>
 {foot}
 <p>CD is the mean distance from the completion to the truth plus the mean distance back, over the surface that can be
-seen from outside or through an opening; F is the F-score at 5 mm. The residual is the trimmed mean distance of the
-points to the fitted primitive, before it is deformed.</p>
+seen from outside or through an opening; F is the F-score at 5 mm; a question mark stands where the truth is unknown.
+Fit is the trimmed mean distance of the points to the fitted primitive, before it is deformed. The number beside a class
+is its probability.</p>
 </footer>
 </main>
 <script type="application/json" id="stories">{shapes}</script>

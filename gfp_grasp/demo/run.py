@@ -7,18 +7,16 @@ import warnings
 from collections.abc import Callable
 from pathlib import Path
 
+from rich.box import SIMPLE_HEAD
 from rich.console import Console
 from rich.table import Table
 
 from gfp_grasp.captures import read_capture
 from gfp_grasp.demo.page import write_page
+from gfp_grasp.demo.props import CLUTTER, SINGLE, pick_objects
 from gfp_grasp.demo.recorded import recorded_story
-from gfp_grasp.demo.simulated import pick_objects, simulated_story
+from gfp_grasp.demo.simulated import EYES, simulated_story
 from gfp_grasp.demo.story import HEADINGS, Story, row
-
-CLUTTER = ("mug", "bottle", "cup", "mug")
-SINGLE = ("mug",)
-_EYES = {"clutter": (0.52, -0.42, 0.46), "single": (0.40, -0.30, 0.32)}
 
 
 def run_demo(
@@ -65,16 +63,16 @@ def run_demo(
 
 def _simulated(out: Path, seed: int) -> list[tuple[str, Callable[[], Story]]]:
     def clutter() -> Story:
-        text = "Four objects that no network was trained on, seen once through a simulated depth camera with its noise."
-        sources = pick_objects(CLUTTER, skip=seed)
+        text = "Four objects of the held-out split, seen once through a simulated depth camera with its noise."
+        sources = pick_objects(CLUTTER, seed=seed)
         return simulated_story(
-            "A clutter of four", text, sources, eye=_EYES["clutter"], folder=out / "clutter", seed=seed
+            "A clutter of four", text, sources, eye=EYES["clutter"], folder=out / "clutter", seed=seed
         )
 
     def single() -> Story:
-        text = "A mug of the same held-out split; the camera sees one side of it."
-        sources = pick_objects(SINGLE, skip=seed + 2)
-        return simulated_story("A single mug", text, sources, eye=_EYES["single"], folder=out / "single", seed=seed)
+        text = "A mug of the same split. The camera sees one side of it."
+        sources = pick_objects(SINGLE, seed=seed)
+        return simulated_story("A single mug", text, sources, eye=EYES["single"], folder=out / "single", seed=seed)
 
     return [("a clutter of four", clutter), ("a single mug", single)]
 
@@ -95,7 +93,7 @@ def _recorded(
 
 
 def _table(story: Story) -> Table:
-    table = Table(title=story.title, title_justify="left", header_style="bold")
+    table = Table(title=story.title, title_justify="left", header_style="bold", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
     for heading in HEADINGS:
         table.add_column(heading, justify="left" if heading in ("object", "class", "best grasp") else "right")
     for item in story.items:

@@ -13,25 +13,21 @@ from gfp_grasp.camera import SensorModel, apply_sensor, intrinsics, render_depth
 from gfp_grasp.complete import Completion, complete_scene
 from gfp_grasp.demo.attempt import attempt, plan_among
 from gfp_grasp.demo.files import write_files
+from gfp_grasp.demo.props import load_prop
 from gfp_grasp.demo.story import Item, Story
 from gfp_grasp.metrics import completion_errors
-from gfp_grasp.scenes import ObjectSource, SceneObject, load_objects, place_clutter
+from gfp_grasp.scenes import ObjectSource, SceneObject, place_clutter
 from gfp_grasp.scenes.stage import Stage
 from gfp_grasp.transforms import apply_T, look_at
 from gfp_grasp.types import DepthImage, TrueObject
 
 WIDTH, HEIGHT, FOV_DEG = 640, 480, 40.0
-
-
-def pick_objects(families: Sequence[str], *, skip: int = 0) -> tuple[ObjectSource, ...]:
-    """The next object of each family's held-out split, in turn, after the first `skip` of each."""
-    streams = {family: iter(load_objects(family, split="test")[skip:]) for family in sorted(set(families))}
-    return tuple(next(streams[family]) for family in families)
+EYES = {"clutter": (0.52, -0.42, 0.46), "single": (0.40, -0.30, 0.32)}  # m
 
 
 def set_stage(sources: Sequence[ObjectSource], rng: np.random.Generator) -> tuple[Stage, tuple[TrueObject, ...]]:
     """The objects at rest on the table, apart from each other, at random."""
-    truths = tuple(source.load() for source in sources)
+    truths = tuple(load_prop(source) for source in sources)
     poses = place_clutter(truths, rng, radius_m=0.2 if len(truths) > 1 else 0.06, gap_m=0.03)
     return Stage([SceneObject.of(truth, T) for truth, T in zip(truths, poses, strict=True)]), truths
 

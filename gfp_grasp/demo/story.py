@@ -71,7 +71,7 @@ class Story:
     files: tuple[str, ...] = ()
 
 
-HEADINGS = ("object", "class", "residual", "CD to truth", "F at 5 mm", "parts", "grasps", "best grasp", "time")
+HEADINGS = ("object", "class", "fit, mm", "CD, mm", "F", "parts", "grasps", "best grasp", "complete, s", "plan, s")
 
 
 def row(item: Item) -> tuple[str, ...]:
@@ -80,14 +80,15 @@ def row(item: Item) -> tuple[str, ...]:
     tried = item.outcome.reason.replace("_", " ") if item.outcome else ("not tried" if item.grasps else "none found")
     return (
         item.name,
-        item.completion.category + (f" ({score:.2f})" if score is not None else ""),
-        f"{1000 * item.residual_m:.1f} mm" if np.isfinite(item.residual_m) else "",
-        f"{1000 * item.errors.cd_m:.1f} mm" if item.errors else "unknown",
-        f"{item.errors.f_score:.2f}" if item.errors else "unknown",
+        item.completion.category + (f" {score:.2f}" if score is not None else ""),
+        f"{1000 * item.residual_m:.1f}" if np.isfinite(item.residual_m) else "",
+        f"{1000 * item.errors.cd_m:.1f}" if item.errors else "?",
+        f"{item.errors.f_score:.2f}" if item.errors else "?",
         str(len(item.completion.parts)),
         str(len(item.grasps)),
-        tried + (f", on {item.world}" if item.outcome and item.world else ""),
-        f"{1000 * (item.seconds + item.grasp_s):.0f} ms",
+        tried,
+        f"{item.seconds:.1f}",
+        f"{item.grasp_s:.1f}",
     )
 
 

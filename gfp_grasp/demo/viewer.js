@@ -124,7 +124,7 @@ class Viewer {
     const [ca, sa, ce, se] = [Math.cos(this.azimuth), Math.sin(this.azimuth), Math.cos(this.elevation), Math.sin(this.elevation)];
     const back = [ce * ca, ce * sa, se], right = [-sa, ca, 0];
     const up = [-se * ca, -se * sa, ce];
-    const distance = 2.9 * this.radius / this.zoom;
+    const distance = (this.chosen.length === 1 ? 4.2 : 2.9) * this.radius / this.zoom;
     const focal = 1.62 * Math.min(w, 1.25 * h);
     return { right, up, back, focal, at: this.target.map((x, k) => x + distance * back[k]) };
   }
