@@ -157,11 +157,15 @@ def test_contacts_of_a_box_are_its_faces():
     mesh = trimesh.creation.box((0.03, 0.04, 0.05))
     points, normals, _ = sample_surface(mesh, 5000, np.random.default_rng(0))
     poses = np.eye(4)[None]
-    contacts = find_contacts(poses, np.array([0.06]), points, normals, np.full(5000, 0.5), gripper=Gripper())
+    contacts = find_contacts(
+        poses, np.array([0.06]), points, normals, np.full(5000, 0.5), gripper=Gripper(), friction=0.5
+    )
     assert contacts.low_m[0] == pytest.approx(-0.02, abs=1e-6)
     assert contacts.high_m[0] == pytest.approx(0.02, abs=1e-6)
     assert contacts.squareness[0] == pytest.approx(1.0)
     assert contacts.realness[0] == pytest.approx(0.5)
+    # A pad of 20 by 24 mm on a flat face twists on a radius of sqrt(20^2 + 24^2) / sqrt(12) mm.
+    assert contacts.lever_m[0] == pytest.approx(2 * 0.5 * np.hypot(0.020, 0.024) / np.sqrt(12), rel=0.05)
 
 
 def test_room_is_the_gap_to_the_nearest_box_and_moves_with_the_gripper():

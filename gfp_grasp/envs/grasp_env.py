@@ -131,7 +131,8 @@ class GfpGraspEnv(gymnasium.Env[Observation, np.ndarray], EzPickle):
             outcome = Outcome(False, "no_grasp_found", 0.0, 0.0, self.settings.as_dict())
         else:
             self._world.restore()
-            outcome = run_trial(self._world.model, self._world.data, grasp, self.settings, target=TARGET)
+            model, data, floats = self._world.model, self._world.data, self.config.world == "completed"
+            outcome = run_trial(model, data, grasp, self.settings, target=TARGET, floats=floats)
         return _copy(self._observation), float(outcome.success), True, False, self._info(outcome)
 
     def render(self) -> np.ndarray | None:  # pyright: ignore[reportIncompatibleMethodOverride]
@@ -164,9 +165,7 @@ class GfpGraspEnv(gymnasium.Env[Observation, np.ndarray], EzPickle):
         if episode.completion is None:
             return None
         parts = episode.completion.collision.parts
-        world = World.of_parts(parts, episode.truth.mass_kg, episode.truth.friction)
-        world.settle()
-        return world
+        return World.of_parts(parts, episode.truth.mass_kg, episode.truth.friction)
 
     def _info(self, outcome: Outcome | None) -> dict[str, Any]:
         episode = self.episode

@@ -98,6 +98,10 @@ class Rig:
         """Largest force of each jaw."""
         self.model.actuator_forcerange[self.servo] = (-grip_n, grip_n)
 
+    def set_weight(self, share: float) -> None:
+        """Share of its weight that the object feels."""
+        self.model.body_gravcomp[self.target] = 1.0 - share
+
     def set_opening(self, opening_m: float) -> None:
         """Opening that the jaws are to take; nothing can keep them from pressing where it is below zero."""
         self.data.ctrl[self.servo] = max(opening_m, SQUEEZE)

@@ -27,6 +27,7 @@ def run_trial(
     settings: TrialSettings | None = None,
     *,
     target: str = "object",
+    floats: bool = False,
     on_step: Callable[[mujoco.MjData], None] | None = None,
 ) -> Outcome:
     """Attempt a grasp on an object that has come to rest; `TrialSettings` tells the steps.
@@ -37,6 +38,8 @@ def run_trial(
         grasp: World frame.
         settings: Numbers of the attempt.
         target: Name of the body to be grasped.
+        floats: The object has no weight until the jaws have closed: a completed half may not stand by itself, which is
+            no fault of the grasp.
         on_step: Called after every command, e.g. to film.
 
     Returns:
@@ -44,7 +47,9 @@ def run_trial(
     """
     settings = settings or TrialSettings()
     attempt = _Attempt(Rig.of(model, data, target), grasp, settings, on_step)
+    attempt.rig.set_weight(0.0 if floats else 1.0)
     reason = attempt.run()
+    attempt.rig.set_weight(1.0)
     return Outcome(reason == "held", reason, attempt.lift_m(), attempt.largest_slip_m, settings.as_dict())
 
 
@@ -103,6 +108,7 @@ class _Attempt:
         failure = self._follow(lambda t: self.T_grasp, s.close_s, close_further)
         if failure is None and self.rig.touching_pads() < 2:
             failure = "no_contact"
+        self.rig.set_weight(1.0)
         self.T_gripper_held = invert_T(self.rig.T_world_gripper) @ self.rig.T_world_target
         self.held_point = invert_T(self.T_gripper_held)[:3, 3]
         return failure

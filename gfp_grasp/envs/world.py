@@ -32,6 +32,7 @@ class World:
         self.data = mujoco.MjData(self.model)
         self._body = self.model.body(TARGET).id
         self._state = np.zeros(mujoco.mj_stateSize(self.model, _STATE))
+        self._remember()
 
     @classmethod
     def of_truth(cls, truth: TrueObject) -> World:
@@ -52,29 +53,31 @@ class World:
         """(4, 4) of the object's body."""
         return make_T(self.data.xmat[self._body].reshape(3, 3), self.data.xpos[self._body])
 
-    def settle(self, T_world_object: np.ndarray | None = None) -> None:
+    def settle(self, T_world_object: np.ndarray) -> None:
         """Put the object down, let it come to rest, and remember the state.
 
         Args:
-            T_world_object: (4, 4) where to put it; None leaves it where the scene has it.
+            T_world_object: (4, 4) where to put it.
         """
         mujoco.mj_resetData(self.model, self.data)
         joint = self.model.joint(f"{TARGET}_free")
         at, speed = joint.qposadr[0], joint.dofadr[0]
-        if T_world_object is not None:
-            self.data.qpos[at : at + 3] = T_world_object[:3, 3]
-            self.data.qpos[at + 3 : at + 7] = quat_wxyz(T_world_object[:3, :3])
+        self.data.qpos[at : at + 3] = T_world_object[:3, 3]
+        self.data.qpos[at + 3 : at + 7] = quat_wxyz(T_world_object[:3, :3])
         steps = round(0.05 / self.model.opt.timestep)
         for _ in range(round(_LONGEST_S / 0.05)):
             mujoco.mj_step(self.model, self.data, steps)
             if np.abs(self.data.qvel[speed : speed + 6]).max() < _REST_MPS:
                 break
         self.data.qvel[speed : speed + 6] = 0.0
-        mujoco.mj_forward(self.model, self.data)
-        mujoco.mj_getState(self.model, self.data, self._state, _STATE)
+        self._remember()
 
     def restore(self) -> None:
-        """Back to the state after the last settling."""
+        """Back to the state after the last settling, or to that of the scene where there was none."""
         mujoco.mj_resetData(self.model, self.data)
         mujoco.mj_setState(self.model, self.data, self._state, _STATE)
         mujoco.mj_forward(self.model, self.data)
+
+    def _remember(self) -> None:
+        mujoco.mj_forward(self.model, self.data)
+        mujoco.mj_getState(self.model, self.data, self._state, _STATE)

@@ -32,6 +32,7 @@ class GraspConfig:
         side_preference: Quality of a level approach over that of one straight down.
         balance_length_m: Distance of the centre of mass from the grasp that costs a factor e.
         upright_lever: Share of that distance along up that counts.
+        good_lever_m: Lever of the pads against turning from which on more of it does not raise the quality.
         doubt_length_m: Standard deviation of the surface's position that costs unseen contact a factor e.
         gripper: Its boxes.
     """
@@ -55,6 +56,7 @@ class GraspConfig:
     side_preference: float = 0.9
     balance_length_m: float = 0.06
     upright_lever: float = 0.3
+    good_lever_m: float = 0.008
     doubt_length_m: float = 0.010
     gripper: Gripper = field(default_factory=Gripper)
 

@@ -20,12 +20,14 @@ class Contacts:
         high_m: (p,) the same for the jaw at +y.
         squareness: (p,) cosine between closing axis and mean normal, the worse of both patches.
         realness: (p,) mean over both patches of the points' odds of being where they seem.
+        lever_m: (p,) shortest lever with which the pads resist a turn about any axis, for a unit of grip force.
     """
 
     low_m: np.ndarray
     high_m: np.ndarray
     squareness: np.ndarray
     realness: np.ndarray
+    lever_m: np.ndarray
 
 
 def find_contacts(
@@ -36,6 +38,7 @@ def find_contacts(
     odds: np.ndarray,
     *,
     gripper: Gripper,
+    friction: float,
 ) -> Contacts:
     """Close the jaws on surface samples.
 
@@ -46,34 +49,61 @@ def find_contacts(
         normals: (n, 3) outward.
         odds: (n,) of being real, 0 to 1.
         gripper: For the extent of its pads.
+        friction: Coulomb coefficient.
     """
     count = len(T_world_gripper)
-    low, high, squareness, realness = (np.full(count, np.nan) for _ in range(4))
+    low, high, squareness, realness, lever = (np.full(count, np.nan) for _ in range(5))
     (x0, _, z0), (x1, _, z1) = gripper.pad.low_high
     for some, local in in_gripper_frame(T_world_gripper, points):
         x, y, z = local[..., 0], local[..., 1], local[..., 2]
         between = (x >= x0) & (x <= x1) & (z >= z0) & (z <= z1) & (np.abs(y) < opening_m[some, None] / 2)
-        top = np.where(between, y, -np.inf).max(axis=1)
-        bottom = np.where(between, y, np.inf).min(axis=1)
-        facing = T_world_gripper[some, :3, 1].astype(np.float32) @ normals.T.astype(np.float32)
-        touch_top = between & (y >= top[:, None] - _TOUCH_M) & (facing > 0)
-        touch_bottom = between & (y <= bottom[:, None] + _TOUCH_M) & (facing < 0)
+        high[some] = np.where(between, y, -np.inf).max(axis=1)
+        low[some] = np.where(between, y, np.inf).min(axis=1)
         closing = T_world_gripper[some, :3, 1]
-        squareness[some] = np.minimum(
-            _cosine(_mean(normals, touch_top), closing), _cosine(_mean(normals, touch_bottom), -closing)
-        )
-        realness[some] = (_mean(odds[:, None], touch_top) + _mean(odds[:, None], touch_bottom))[:, 0] / 2
-        low[some], high[some] = bottom, top
+        facing = closing.astype(np.float32) @ normals.T.astype(np.float32)
+        sides = [
+            _Patch(between & (y >= high[some, None] - _TOUCH_M) & (facing > 0), local, normals, odds),
+            _Patch(between & (y <= low[some, None] + _TOUCH_M) & (facing < 0), local, normals, odds),
+        ]
+        squareness[some] = np.minimum(_cosine(sides[0].normal, closing), _cosine(sides[1].normal, -closing))
+        realness[some] = (sides[0].odds + sides[1].odds) / 2
+        across = friction * (high[some] - low[some])
+        lever[some] = np.min([side.levers_m(across, friction) for side in sides], axis=(0, 1))
     found = np.isfinite(low) & np.isfinite(high) & np.isfinite(squareness)
-    return Contacts(*(np.where(found, array, np.nan) for array in (low, high, squareness, realness)))
+    return Contacts(*(np.where(found, array, np.nan) for array in (low, high, squareness, realness, lever)))
 
 
-def _mean(values: np.ndarray, mask: np.ndarray) -> np.ndarray:
-    """Mean (p, c) of (n, c) values under a (p, n) mask; NaN where it is empty."""
-    pose, point = np.nonzero(mask)  # few points touch, so they are summed one by one
-    sums = np.stack([np.bincount(pose, column, minlength=len(mask)) for column in values[point].T], axis=1)
-    counts = np.bincount(pose, minlength=len(mask))[:, None]
-    return np.divide(sums, counts, out=np.full(sums.shape, np.nan), where=counts > 0)
+class _Patch:
+    """Means over the points that one pad touches, for p poses; NaN where it touches none.
+
+    Attributes:
+        normal: (p, 3) mean normal, not of unit length.
+        odds: (p,) mean odds of being real.
+        variance: (p, 2) m^2 of the points along the pad's x and z.
+    """
+
+    def __init__(self, touched: np.ndarray, local: np.ndarray, normals: np.ndarray, odds: np.ndarray) -> None:
+        pose, point = np.nonzero(touched)  # few points touch, so they are summed one by one
+        counts = np.bincount(pose, minlength=len(touched))
+
+        def mean(columns: np.ndarray) -> np.ndarray:
+            sums = np.stack([np.bincount(pose, column, minlength=len(touched)) for column in columns.T], axis=1)
+            return np.divide(sums, counts[:, None], out=np.full(sums.shape, np.nan), where=counts[:, None] > 0)
+
+        on_pad = local[pose, point][:, [0, 2]].astype(np.float64)
+        self.normal = mean(normals[point])
+        self.odds = mean(odds[point, None])[:, 0]
+        self.variance = np.maximum(mean(on_pad**2) - mean(on_pad) ** 2, 0.0)
+
+    def levers_m(self, across_m: np.ndarray, friction: float) -> np.ndarray:
+        """Levers (3, p) m against turns about x, z and y, of a unit force on a patch of uniform pressure.
+
+        A turn about x or z is resisted by friction on both pads, across_m apart, and by the pressure's moving over the
+        patch; one about the closing axis y by the patch's twisting alone.
+        """
+        extent = np.sqrt(12.0 * self.variance)
+        about_y = 2.0 * friction * np.sqrt(self.variance.sum(axis=1))
+        return np.stack([across_m + extent[:, 1], across_m + extent[:, 0], about_y])
 
 
 def _cosine(vectors: np.ndarray, axes: np.ndarray) -> np.ndarray:

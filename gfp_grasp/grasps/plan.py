@@ -51,7 +51,8 @@ def plan_grasps(
     - realness: mean over the contact patch of 1 where the surface was observed, exp(-sigma / doubt_length_m) elsewhere;
     - room: 1/2 to 1 as the gap around the gripper grows to good_clearance_m;
     - approach: 1 from straight above, side_preference on the level;
-    - seat: 1 with the closing line through the middle of the pads, tip_preference near their tips.
+    - seat: shortest lever against turning over good_lever_m, at most 1; a round lip between the pads lets a cup swing;
+    - depth: 1 with the closing line through the middle of the pads, tip_preference near their tips.
 
     Args:
         completion: Mesh, parts, what was observed, and its support; world frame.
@@ -136,15 +137,21 @@ def _close_on(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, Contacts]:
     """Centre poses between the surfaces that the pads touch first, and keep those whose width the jaws take."""
     opening = _opening(width, config)
-    contacts = find_contacts(T, opening, surface.points, surface.normals, surface.odds, gripper=config.gripper)
+    contacts = find_contacts(
+        T,
+        opening,
+        surface.points,
+        surface.normals,
+        surface.odds,
+        gripper=config.gripper,
+        friction=config.friction,
+    )
     width = contacts.high_m - contacts.low_m
     fits = np.isfinite(width) & (width <= config.max_width_m)
-    T, width, at_tip, *kept = _take(
-        fits, T, width, at_tip, contacts.low_m, contacts.high_m, contacts.squareness, contacts.realness
-    )
-    T = T.copy()
-    T[:, :3, 3] += ((kept[0] + kept[1]) / 2)[:, None] * T[:, :3, 1]
-    return T, width, at_tip, Contacts(*kept)
+    T, width, at_tip = _take(fits, T.copy(), width, at_tip)
+    contacts = Contacts(*_take(fits, *vars(contacts).values()))
+    T[:, :3, 3] += ((contacts.low_m + contacts.high_m) / 2)[:, None] * T[:, :3, 1]
+    return T, width, at_tip, contacts
 
 
 def _quality(
@@ -169,7 +176,8 @@ def _quality(
     steepness = np.clip(-T[:, :3, 2] @ support.normal, 0.0, 1.0)
     approach = config.side_preference + (1.0 - config.side_preference) * steepness
     roominess = np.where(room > config.least_room_m, 0.5 + 0.5 * np.clip(room / config.good_clearance_m, 0.0, 1.0), 0.0)
-    return square * balance * contacts.realness * roominess * approach
+    seat = np.clip(contacts.lever_m / config.good_lever_m, 0.0, 1.0)
+    return square * balance * contacts.realness * roominess * approach * seat
 
 
 def _opening(width: np.ndarray, config: GraspConfig) -> np.ndarray:
