@@ -96,18 +96,21 @@ def detect_symmetry(
     surfaces = [Surface(mesh, rng, count=4000) for mesh in meshes]
     limits = np.array([tolerance * np.linalg.norm(mesh.extents) for mesh in meshes])
 
-    def most_fit(moves: list[np.ndarray]) -> bool:
+    def fitting(moves: list[np.ndarray]) -> float:
         error = np.array([max(_moved_distance(surface, move) for move in moves) for surface in surfaces])
-        return bool((error <= limits).mean() >= share)
+        return float((error <= limits).mean())
 
     order: float = 1
-    if most_fit([rotation_about(_UP, turn) for turn in _ODD_TURNS]):
+    if fitting([rotation_about(_UP, turn) for turn in _ODD_TURNS]) >= share:
         order = math.inf
     else:
-        order = next((n for n in _ORDERS if most_fit([rotation_about(_UP, 2 * np.pi / n)])), 1)
+        # A rounded square nearly fits itself after a fifth of a turn; after a quarter it fits better.
+        found = {n: fitting([rotation_about(_UP, 2 * np.pi / n)]) for n in _ORDERS}
+        best = max(found.values())
+        order = next((n for n in _ORDERS if found[n] == best), 1) if best >= share else 1
     for angle in np.radians([90.0, 0.0, 45.0, 135.0, 30.0, 60.0, 120.0, 150.0]):
         normal = np.array([np.cos(angle), np.sin(angle), 0.0])
-        if most_fit([np.eye(3) - 2 * np.outer(normal, normal)]):
+        if fitting([np.eye(3) - 2 * np.outer(normal, normal)]) >= share:
             return Symmetry(_UP, order, np.round(normal, 12))
     return Symmetry(_UP, order, None)
 

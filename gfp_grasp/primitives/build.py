@@ -229,7 +229,7 @@ def _assemble(
     shared = {
         "category": category,
         "explained": model.explained,
-        "log_scale_cov": np.cov(model.log_scale.T),
+        "log_scale_cov": np.cov(model.log_scale[~model.odd].T),
         "coefficient_samples": samples,
         "up": _UP,
         "licence": config.licence,
@@ -260,6 +260,7 @@ def _assemble(
         "meshes_given": num_given,
         "members_used": len(samples),
         "members_dropped": dict(dropped),
+        "members_odd": int(model.odd.sum()),
         "vertices": len(vertices),
         "faces": len(thin),
         "modes": len(modes),

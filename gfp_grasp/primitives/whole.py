@@ -16,6 +16,8 @@ from gfp_grasp.transforms import rotation_about
 from gfp_grasp.types import GenericPrimitive
 
 _COMPATIBLE = 0.5
+# Distances above this count by their length, below it by their square.
+_HUBER_M = 0.0005
 _UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -117,9 +119,11 @@ def _descend(
         plane = np.concatenate([surface.normals[index[good]], normals[kept]])
         share = np.concatenate([np.full(good.sum(), 1 / len(vertices)), np.full(kept.sum(), 1 / len(points))])
         offset = vertices[rows] - target
-        # A little of the tangential offset keeps vertices from sliding along walls without end.
         cost = float(share @ np.linalg.norm(offset, axis=1)) + diagonal * float(1 - good.mean() + 1 - kept.mean())
-        state = _step(primitive, state, rows, plane, offset, share, config)
+        # Huber's weights: what counts is the mean distance, and scans have bulges that no member of the class has.
+        height = np.abs((plane * offset).sum(axis=1))
+        robust = share * np.minimum(1.0, _HUBER_M / np.maximum(height, 1e-9))
+        state = _step(primitive, state, rows, plane, offset, robust, config)
     return state, cost
 
 
