@@ -275,7 +275,8 @@ class FittedPrimitive:
     def __post_init__(self) -> None:
         _freeze(self, "T_world_object", _matrix(self.T_world_object, (4, 4), "T_world_object", InvalidMesh))
         _freeze(self, "scale", _vector(self.scale, 3, "scale", InvalidMesh))
-        _freeze(self, "coefficients", _vector(self.coefficients, len(self.primitive.modes), "coefficients", InvalidMesh))
+        num_modes = len(self.primitive.modes)
+        _freeze(self, "coefficients", _vector(self.coefficients, num_modes, "coefficients", InvalidMesh))
 
     def vertices_world(self) -> np.ndarray:
         """(v, 3) m, world frame."""
@@ -398,12 +399,14 @@ def _freeze(owner: object, name: str, array: np.ndarray) -> None:
 def _matrix(value: object, shape: tuple[int, int], name: str, error: type[Exception]) -> np.ndarray:
     matrix = np.asarray(value, dtype=np.float64)
     if matrix.shape != shape or not np.isfinite(matrix).all():
-        raise error(f"{name} has shape {matrix.shape}, finite: {bool(np.isfinite(matrix).all())}; finite {shape} is expected")
+        finite = bool(np.isfinite(matrix).all())
+        raise error(f"{name} has shape {matrix.shape}, finite: {finite}; finite {shape} is expected")
     return matrix
 
 
 def _vector(value: object, length: int, name: str, error: type[Exception]) -> np.ndarray:
     vector = np.asarray(value, dtype=np.float64)
     if vector.shape != (length,) or not np.isfinite(vector).all():
-        raise error(f"{name} has shape {vector.shape}, finite: {bool(np.isfinite(vector).all())}; finite ({length},) is expected")
+        finite = bool(np.isfinite(vector).all())
+        raise error(f"{name} has shape {vector.shape}, finite: {finite}; finite ({length},) is expected")
     return vector

@@ -182,7 +182,7 @@ def test_points_are_thinned_by_themselves_not_by_their_order():
 
 
 def test_canonical_frame_looks_at_the_viewer():
-    points = np.random.default_rng(0).normal(0, 0.02, (400, 3)) + [1.0, 2.0, 3.0]
+    points = np.random.default_rng(0).normal((1.0, 2.0, 3.0), 0.02, (400, 3))
     detection = Detection(
         cloud=PointCloud(points, np.array([1.0, 5.0, 4.0])),
         up=np.array([0.0, 0.0, 1.0]),
@@ -192,6 +192,7 @@ def test_canonical_frame_looks_at_the_viewer():
         box=OrientedBox(np.eye(4), np.ones(3)),
     )
     moved, T = canonical_frame(detection)
+    assert moved.cloud.viewpoint is not None
     assert apply_T(T, moved.cloud.viewpoint) == pytest.approx([1.0, 5.0, 4.0])
     assert moved.cloud.points.mean(axis=0) == pytest.approx(np.zeros(3), abs=1e-12)
     assert moved.cloud.viewpoint[0] > 0

@@ -41,7 +41,7 @@ def test_upside_down_and_upright_are_told_apart():
     fallen = Detection(
         cloud=fallen.cloud,
         up=fallen.up,
-        support=SupportPlane((0, 0, 1), 0.0),
+        support=SupportPlane(np.array([0.0, 0.0, 1.0]), 0.0),
         category="cup",
         scores={"cup": 1.0},
         box=fallen.box,
@@ -50,14 +50,16 @@ def test_upside_down_and_upright_are_told_apart():
     assert fit_primitive(fallen, toy_cup_primitive(), config=BOX).hypothesis == "upside_down"
 
 
-def test_fit_moves_with_its_input():
+def test_fit_shifts_with_its_input():
     mesh = random_cup(np.random.default_rng(4))
     _, detection = see(mesh, 2)
-    T = make_T(rotation_about((0, 0, 1), 0.0), (0.3, -0.1, 0.2))
+    assert detection.cloud.viewpoint is not None
+    assert detection.support is not None
+    T = make_T(None, (0.3, -0.1, 0.2))
     moved = Detection(
         cloud=PointCloud(apply_T(T, detection.cloud.points), apply_T(T, detection.cloud.viewpoint)),
         up=detection.up,
-        support=SupportPlane((0, 0, 1), detection.support.height_m + 0.2),
+        support=SupportPlane(np.array([0.0, 0.0, 1.0]), detection.support.height_m + 0.2),
         category="cup",
         scores={"cup": 1.0},
         box=OrientedBox(T @ detection.box.T_world_box, detection.box.extents),

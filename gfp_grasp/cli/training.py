@@ -74,12 +74,13 @@ def gfpnet(
     """The deformation network."""
     from gfp_grasp.train.gfpnet import DEFAULTS, train_gfpnet
 
-    if variant not in DEFAULTS:
+    chosen = next((name for name in DEFAULTS if name == variant), None)
+    if chosen is None:
         raise InvalidOption(f"--variant is {variant!r}; legal are {', '.join(DEFAULTS)}")
-    config = replace(DEFAULTS[variant], seed=seed, device=device, steps=steps or DEFAULTS[variant].steps)
+    config = replace(DEFAULTS[chosen], seed=seed, device=device, steps=steps or DEFAULTS[chosen].steps)
     with _bar(f"gfpnet {variant}", config.steps) as report:
         card = train_gfpnet(
-            variant, config=config, num_views=views, limit=limit, out=file, runs=runs, workers=workers, report=report
+            chosen, config=config, num_views=views, limit=limit, out=file, runs=runs, workers=workers, report=report
         )
     out.print(str(card), markup=False)
 

@@ -18,7 +18,7 @@ from gfp_grasp.shapes import FAMILIES
 from gfp_grasp.train.labels import Label, make_labels
 from gfp_grasp.train.loop import Batch, LoopConfig, shuffled, train, write_weights
 
-DEFAULTS = {
+DEFAULTS: dict[Variant, LoopConfig] = {
     "patch": LoopConfig(steps=8000, batch=128, rate=1e-3, decay=0.75),
     # The paper's optimiser, rate and batch; steps are ours.
     "paper-iterative": LoopConfig(steps=1500, batch=256),
