@@ -69,6 +69,7 @@ def test_the_json_has_the_promised_layout_and_no_path(report, folder):
         assert set(row["reasons"]) <= set(REASONS)
 
 
+@pytest.mark.slow  # each worker imports everything afresh
 def test_the_same_score_on_two_workers_differs_in_timings_alone(report, folder):
     again = score(folder, COMPLETERS, views=1, seed=5, workers=2)
     assert without_timings(again) == without_timings(report)
