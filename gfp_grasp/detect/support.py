@@ -88,6 +88,8 @@ def find_support(
             if up is None:
                 plane = _facing(plane, eye)
             score = _support_score(plane, sample, config)
+            if score > 0.5:  # more than half of everything lies on it: no other can be bigger
+                return plane
             if score > best_score:
                 best, best_score = plane, score
     return best
