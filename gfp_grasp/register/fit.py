@@ -38,7 +38,7 @@ class FitConfig:
         max_residual_m: A fit whose trimmed residual is larger has diverged.
     """
 
-    start: Literal["pcrnet", "box"] = "pcrnet"
+    start: Literal["pcrnet", "box"] = "box"
     hypotheses: tuple[str, ...] = HYPOTHESES
     quick: ModesConfig = field(default_factory=lambda: ModesConfig(steps=(0.02, 0.015, 0.01, 0.008, 0.006)))
     thorough: ModesConfig = field(default_factory=ModesConfig)
