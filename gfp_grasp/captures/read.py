@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
+from gfp_grasp.assets import data_file
 from gfp_grasp.camera import cloud_of, view_from_points
 from gfp_grasp.captures.capture import Capture
 from gfp_grasp.captures.pcd import parse_pcd
@@ -19,6 +20,7 @@ from gfp_grasp.errors import InvalidCloud, InvalidView, UnreadableFile
 from gfp_grasp.transforms import apply_T
 from gfp_grasp.types import DepthImage
 
+SAMPLE, SAMPLE_FILE = "sample", "quickstart_mug.npz"
 SUFFIXES = (".npz", ".npy", ".ply", ".pcd", ".xyz", ".txt", ".csv", ".obj")
 KEYS = "points | object_points_cam | depth_m and K | points_cam"
 _LARGEST_BYTES = 1 << 30
@@ -45,7 +47,7 @@ def read_capture(path: str | Path) -> Capture:
     first three columns and at most one line of heading.
 
     Args:
-        path: One of SUFFIXES.
+        path: One of SUFFIXES; or "sample", the capture that ships with the package.
 
     Returns:
         The recording; of a plain cloud the viewpoint is unknown.
@@ -55,7 +57,7 @@ def read_capture(path: str | Path) -> Capture:
         InvalidCloud: It reads, but holds no points.
         InvalidView: Picture, intrinsics, pose or mask do not fit each other.
     """
-    path = Path(path)
+    path = data_file("sim_scenes", SAMPLE_FILE) if str(path) == SAMPLE else Path(path)
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise UnreadableFile(f"{path.name}: suffix {path.suffix!r} is not among {', '.join(SUFFIXES)}")

@@ -11,7 +11,9 @@ from gfp_grasp.cli.terminal import Seed, out
 def demo(
     folder: Annotated[Path, typer.Option("--out", help="Folder to write; open its index.html.")] = Path("out"),
     cloud: Annotated[list[Path] | None, typer.Option(help="Your own cloud of one object; may be repeated.")] = None,
-    capture: Annotated[list[Path] | None, typer.Option(help="Your own .npz capture; may be repeated.")] = None,
+    capture: Annotated[
+        list[Path] | None, typer.Option(help="Your own .npz capture, or sample; may be repeated.")
+    ] = None,
     category: Annotated[str | None, typer.Option(help="Class of the object in your recordings.")] = None,
     seed: Seed = 0,
 ) -> None:

@@ -15,7 +15,7 @@ from gfp_grasp.export import SUFFIXES
 
 
 def complete(
-    cloud: Annotated[Path, typer.Argument(help=".npy .ply .pcd .xyz .txt .csv .obj cloud, or .npz capture; metres.")],
+    cloud: Annotated[Path, typer.Argument(help="Cloud or .npz capture, metres; sample is one that ships.")],
     output: Annotated[
         list[Path], typer.Option("--output", "-o", help=".obj .ply .stl .glb, .xml (MJCF) or .urdf; may be repeated.")
     ],

@@ -1,14 +1,12 @@
 """`gfp-grasp gps`: the generic primitives, what they are and how they are made."""
 
 import json
-import sys
-from dataclasses import replace
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from gfp_grasp.cli.terminal import Limit, Seed, out, table, track
+from gfp_grasp.cli.terminal import Seed, out, table, track
 
 gps = typer.Typer(name="gps", help="Generic primitives: list, show, build.", no_args_is_help=True)
 
@@ -39,29 +37,21 @@ def show(category: Annotated[str, typer.Argument(help="Class.")]) -> None:
 @gps.command()
 def build(
     category: Annotated[str, typer.Argument(help="Name of the class.")],
-    meshes: Annotated[
-        Path | None, typer.Option(help="Folder of meshes of the class; left out, its procedural training split.")
-    ] = None,
+    meshes: Annotated[Path | None, typer.Option(help="Folder of its meshes; left out, its procedural shapes.")] = None,
     folder: Annotated[Path, typer.Option("--out", help="Folder of the .safetensors, .ply and .json.")] = Path("gps"),
-    orientation: Annotated[
-        str | None, typer.Option(help="What is known of the meshes: placed, upright or any. Of a folder: any.")
-    ] = None,
-    licence: Annotated[str, typer.Option(help="Of the meshes, for the card.")] = "",
-    limit: Limit = None,
+    orientation: Annotated[str, typer.Option(help="What is known of a folder's meshes: placed, upright, any.")] = "any",
+    licence: Annotated[str, typer.Option(help="Of a folder's meshes, for the card.")] = "",
+    limit: Annotated[int, typer.Option(min=1, help="So many procedural shapes.")] = 120,
     seed: Seed = 0,
 ) -> None:
-    """Build the primitive of any class from a set of its meshes."""
-    from gfp_grasp.primitives import BuildConfig, build_primitive, save_primitive
-    from gfp_grasp.scenes import load_objects
+    """Build the primitive of any class from a set of its meshes, and measure it on some that are held out."""
+    from gfp_grasp.primitives import BuildConfig, build_from_folder, build_from_shapes, save_primitive
 
-    sources = load_objects(meshes if meshes is not None else category, split="train", limit=limit)
-    loaded = [source.load_mesh() for source in track("meshes")(sources, len(sources))]
-    config = BuildConfig(
-        orientation=orientation or ("any" if meshes else "placed"),  # pyright: ignore[reportArgumentType]
-        licence=licence or ("" if meshes else "Apache-2.0"),
-    )
-    primitive = build_primitive(loaded, category, config=config, seed=seed, progress=track(f"primitive of {category}"))
-    command = "gfp-grasp " + " ".join(sys.argv[1:])
-    primitive = replace(primitive, card={**primitive.card, "command": command})
+    progress = track(f"primitive of {category}")
+    if meshes is None:
+        primitive = build_from_shapes(category, members=limit, seed=seed, progress=progress)
+    else:
+        config = BuildConfig(orientation=orientation, licence=licence)  # pyright: ignore[reportArgumentType]
+        primitive = build_from_folder(meshes, category, seed=seed, config=config, progress=progress)
     path = save_primitive(primitive, folder)
     out.print(f"{path}: {len(primitive.vertices)} vertices, {len(primitive.modes)} modes", markup=False)

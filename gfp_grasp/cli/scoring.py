@@ -11,9 +11,7 @@ COMPLETERS = "observed,mirror,registration,gfpnet,oracle"
 
 def score(
     objects: Objects,
-    completers: Annotated[
-        str, typer.Option(help="With commas between; your own: module:function.")
-    ] = COMPLETERS,
+    completers: Annotated[str, typer.Option(help="With commas between; your own: module:function.")] = COMPLETERS,
     views: Annotated[int, typer.Option(min=1, help="Of each object.")] = 4,
     split: Split = "test",
     limit: Limit = None,

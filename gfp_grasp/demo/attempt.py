@@ -20,9 +20,10 @@ from gfp_grasp.types import Detection, Grasp, Outcome
 _NUM_GRASPS = 16
 # A neighbour whose box comes closer than this to the object's can be in the gripper's way.
 _NEIGHBOUR_M = 0.15
-# 120 ms of simulation between two frames, which are shown for 60 ms each.
-_COMMANDS_A_FRAME = 12
-_FILM = {"width": 320, "height": 240, "T_world_camera": look_at((0.52, -0.46, 0.40), (0.0, 0.0, 0.12))}
+# 160 ms of simulation between two frames, which are shown for 80 ms each.
+_COMMANDS_A_FRAME = 16
+_FRAME_PX = (320, 240)
+_NEAR, _FAR = look_at((0.46, -0.40, 0.34), (0.0, 0.0, 0.13)), look_at((0.60, -0.52, 0.48), (0.0, 0.0, 0.15))
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,11 +67,13 @@ def attempt(stage: Stage, grasp: Grasp, target: str, *, film: bool = False) -> t
     stage.restore()
     frames: list[np.ndarray] = []
     commands = 0
+    width, height = _FRAME_PX
+    T_world_camera = _NEAR if len(stage.names) == 1 else _FAR
 
     def watch(data: object) -> None:
         nonlocal commands
         if commands % _COMMANDS_A_FRAME == 0:
-            frames.append(shade(stage.model, data, **_FILM))
+            frames.append(shade(stage.model, data, width=width, height=height, T_world_camera=T_world_camera))
         commands += 1
 
     outcome = run_trial(stage.model, stage.data, grasp, target=target, on_step=watch if film else None)

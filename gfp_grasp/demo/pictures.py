@@ -22,7 +22,7 @@ def write_depth(path: Path, depth_m: np.ndarray) -> None:
     Image.fromarray(colour.astype(np.uint8)).save(path, optimize=True)
 
 
-def write_clip(path: Path, frames: Sequence[np.ndarray], *, frame_ms: int = 60) -> None:
+def write_clip(path: Path, frames: Sequence[np.ndarray], *, frame_ms: int = 80) -> None:
     """Write frames (h, w, 3) uint8 as a GIF that repeats; all frames share one palette, so nothing flickers."""
     palette = Image.fromarray(np.concatenate(frames[:: max(1, len(frames) // 6)])).quantize(128)
     pictures = [Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]

@@ -8,11 +8,11 @@ import numpy as np
 import trimesh
 
 from gfp_grasp.assets import data_dir
+from gfp_grasp.captures.read import SAMPLE_FILE
 from gfp_grasp.demo.props import CLUTTER, FILE, SINGLE, pick_objects, write_parts
 from gfp_grasp.demo.simulated import EYES, look, set_stage
 from gfp_grasp.transforms import apply_T, invert_T
 
-CAPTURE = "quickstart_mug.npz"
 SEED = 0
 
 
@@ -26,7 +26,7 @@ def main() -> None:
     image, geom = look(stage, EYES["single"], rng)
     mesh = trimesh.Trimesh(apply_T(stage.pose(truth.name), truth.mesh.vertices), truth.mesh.faces, process=False)
     np.savez_compressed(
-        folder / CAPTURE,
+        folder / SAMPLE_FILE,
         depth_m=image.depth_m,
         K=image.K,
         T_world_camera=image.T_world_camera,

@@ -22,7 +22,7 @@ from gfp_grasp.transforms import apply_T, look_at
 from gfp_grasp.types import DepthImage, TrueObject
 
 WIDTH, HEIGHT, FOV_DEG = 640, 480, 40.0
-EYES = {"clutter": (0.52, -0.42, 0.46), "single": (0.40, -0.30, 0.32)}  # m
+EYES = {"clutter": (0.46, -0.36, 0.56), "single": (0.40, -0.30, 0.32)}  # m
 
 
 def set_stage(sources: Sequence[ObjectSource], rng: np.random.Generator) -> tuple[Stage, tuple[TrueObject, ...]]:

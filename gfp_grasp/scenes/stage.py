@@ -41,6 +41,11 @@ class Stage:
         self._state = np.zeros(mujoco.mj_stateSize(self.model, _STATE))
         self._settle()
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Of the objects, in their order."""
+        return tuple(thing.name for thing in self._objects)
+
     def restore(self) -> None:
         """Back to the state in which the objects had come to rest."""
         mujoco.mj_resetData(self.model, self.data)
