@@ -4,7 +4,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, cast
 
 import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
@@ -72,11 +72,11 @@ def gfpnet(
     seed: Seed = 0,
 ) -> None:
     """The deformation network."""
-    from gfp_grasp.train.gfpnet import DEFAULTS, train_gfpnet
+    from gfp_grasp.train.gfpnet import DEFAULTS, Variant, train_gfpnet
 
-    chosen = next((name for name in DEFAULTS if name == variant), None)
-    if chosen is None:
+    if variant not in DEFAULTS:
         raise InvalidOption(f"--variant is {variant!r}; legal are {', '.join(DEFAULTS)}")
+    chosen = cast(Variant, variant)
     config = replace(DEFAULTS[chosen], seed=seed, device=device, steps=steps or DEFAULTS[chosen].steps)
     with _bar(f"gfpnet {variant}", config.steps) as report:
         card = train_gfpnet(
