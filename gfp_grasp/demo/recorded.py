@@ -41,7 +41,7 @@ def recorded_story(capture: Capture, *, folder: Path, category: str | None = Non
         truth = capture.truth if len(completions) == 1 else None
         errors = completion_errors(completion.mesh, truth, rng=rng) if truth is not None else None
         items.append(Item(name, completion, grasps, outcome, "completed parts", truth, errors, grasp_s))
-    up = completions[0].detection.up
+    up = completions[0].detection.up.round(2) + 0.0  # no minus zero
     text = f"Up was taken as ({up[0]:.2f}, {up[1]:.2f}, {up[2]:.2f}) in the frame of the recording. "
     text += "The truth is unknown to the simulator: grasps were tried on the completed objects themselves."
     return write_files(
