@@ -15,7 +15,7 @@ from gfp_grasp.demo.story import HEADINGS, Item, Story, gripper_mesh, row
 from gfp_grasp.transforms import apply_T, make_T, rotation_between
 
 # More points than this hide the surface under them.
-_MAX_POINTS = 1800
+_MAX_POINTS = 900
 _ASIDE_RAD = 0.7
 _MEDIA_TYPES = {".png": "image/png", ".gif": "image/gif"}
 _WORDS = {"object", "class", "best grasp"}  # columns of words, which start at the left
