@@ -20,6 +20,8 @@ _STAND_OUT = 0.012
 # Turns that tell a body of revolution from one of any small order.
 _ODD_TURNS = np.radians([17.0, 37.0, 61.0])
 _ORDERS = (6, 5, 4, 3, 2)
+# The farthest 2 % of a surface may be this many times farther away than the mean.
+_FAR = 4.0
 
 
 def label_regions(mesh: trimesh.Trimesh) -> np.ndarray:
@@ -46,9 +48,10 @@ def enclosed(mesh: trimesh.Trimesh) -> np.ndarray:
     )  # a golden spiral, level to down
     level = np.sqrt(1 - height**2)
     directions = np.stack([level * np.cos(azimuth), level * np.sin(azimuth), height], axis=1)
-    ahead = normals @ directions.T > 0.1
+    # A floor that faces up looks along itself: its rays start a little above it.
+    ahead = normals @ directions.T > -0.02
     vertex, which = np.nonzero(ahead)
-    start = np.asarray(mesh.vertices)[vertex] + 1e-4 * diagonal * normals[vertex]
+    start = np.asarray(mesh.vertices)[vertex] + 1e-3 * diagonal * normals[vertex]
     blocked = mesh.ray.intersects_any(start, directions[which])
     free = np.bincount(vertex, ~blocked, minlength=len(normals)) > 0
     return ~free & ahead.any(axis=1)
@@ -116,6 +119,8 @@ def detect_symmetry(
 
 
 def _moved_distance(surface: Surface, move: np.ndarray) -> float:
+    """Mean distance of the moved surface from itself; a small part that moves far, a handle, counts as much."""
     points = surface.points[::4] @ move.T
     closest = surface.closest(points, surface.normals[::4] @ move.T, normal_weight_m=0.002)[0]
-    return float(np.linalg.norm(closest - points, axis=1).mean())
+    distance = np.linalg.norm(closest - points, axis=1)
+    return float(max(distance.mean(), np.percentile(distance, 98) / _FAR))

@@ -12,6 +12,7 @@ from scipy.spatial import KDTree
 from gfp_grasp.errors import InvalidMesh, InvalidOption
 from gfp_grasp.meshes import vertex_normals
 from gfp_grasp.primitives.surface import Surface
+from gfp_grasp.primitives.untangle import untangle
 
 # Botsch and Kobbelt 2004: splitting above 4/3 and collapsing below 4/5 of the wanted length cannot undo each other.
 _SPLIT, _COLLAPSE = 4.0 / 3.0, 4.0 / 5.0
@@ -66,21 +67,21 @@ def remesh(
     fine = refine(mesh, config.min_edge * diagonal)
     wanted = _WantedLength(fine, config, diagonal)
     surface = Surface(mesh, rng, count=20000)
-    coarse = refine(mesh, 0.5 * config.max_edge * diagonal)
+    coarse = refine(mesh, config.max_edge * diagonal)
     vertices, faces = np.array(coarse.vertices), np.array(coarse.faces)
     for _ in range(config.iterations):
         vertices, faces = _split(vertices, faces, wanted)
         vertices, faces = _collapse(vertices, faces, wanted)
         faces = _flip(vertices, faces)
         vertices = _relax(vertices, faces, surface, diagonal)
-    result = trimesh.Trimesh(vertices, faces, process=False)
+    result = trimesh.Trimesh(untangle(vertices, faces), faces, process=False)
     if not result.is_volume:
         raise InvalidMesh("remeshing did not end in a closed volume: the mesh is thinner than its shortest wanted edge")
     return result
 
 
 def refine(mesh: trimesh.Trimesh, max_edge_m: float) -> trimesh.Trimesh:
-    """The same closed surface, its edges split until none is longer than max_edge_m."""
+    """The same closed surface, its edges split evenly until they are about max_edge_m long at most."""
     solid = manifold3d.Manifold(
         manifold3d.Mesh64(np.array(mesh.vertices, dtype=np.float64), np.array(mesh.faces, dtype=np.uint64))
     )
@@ -88,7 +89,7 @@ def refine(mesh: trimesh.Trimesh, max_edge_m: float) -> trimesh.Trimesh:
         raise InvalidMesh(f"the mesh is not a closed manifold ({solid.status()}): repair it first")
     fine = solid.refine_to_length(max_edge_m).to_mesh64()
     vertices = np.array(fine.vert_properties, dtype=np.float64)[:, :3]
-    return trimesh.Trimesh(vertices, np.array(fine.tri_verts, dtype=np.int64), process=True)
+    return trimesh.Trimesh(vertices, np.array(fine.tri_verts, dtype=np.int64), process=False)
 
 
 class _WantedLength:
@@ -157,7 +158,7 @@ def _split(vertices: np.ndarray, faces: np.ndarray, wanted: _WantedLength) -> tu
 
 def _collapse(vertices: np.ndarray, faces: np.ndarray, wanted: _WantedLength) -> tuple[np.ndarray, np.ndarray]:
     """Merge the ends of edges that are too short, shortest first, no two whose neighbourhoods touch."""
-    for _ in range(6):
+    for _ in range(4):
         edges, _ = _edges(faces)
         lengths = np.linalg.norm(vertices[edges[:, 0]] - vertices[edges[:, 1]], axis=1)
         ratio = lengths / wanted(vertices[edges].mean(axis=1))
@@ -165,7 +166,7 @@ def _collapse(vertices: np.ndarray, faces: np.ndarray, wanted: _WantedLength) ->
         candidates = candidates[np.argsort(ratio[candidates])]
         rings, around = _rings(faces, len(vertices))
         normals = _unit_normals(vertices, faces)
-        spread = _bend(normals, around, len(vertices))
+        spread = _bend(normals, faces, len(vertices))
         locked = np.zeros(len(vertices), dtype=bool)
         target = np.arange(len(vertices))
         moved = vertices.copy()
@@ -199,11 +200,11 @@ def _rings(faces: np.ndarray, count: int) -> tuple[list[set[int]], list[set[int]
     return rings, around
 
 
-def _bend(normals: np.ndarray, around: list[set[int]], count: int) -> np.ndarray:
-    """How much the faces around each vertex disagree: 0 where flat, towards 1 at a spike."""
-    return np.array(
-        [1 - np.linalg.norm(normals[list(around[i])].mean(axis=0)) if around[i] else 0 for i in range(count)]
-    )
+def _bend(normals: np.ndarray, faces: np.ndarray, count: int) -> np.ndarray:
+    """How much the faces around each vertex disagree (v,): 0 where flat, towards 1 at a spike."""
+    index, repeated = faces.ravel(), np.repeat(normals, 3, axis=0)
+    total = np.stack([np.bincount(index, repeated[:, i], minlength=count) for i in range(3)], axis=1)
+    return 1 - np.linalg.norm(total, axis=1) / np.maximum(np.bincount(index, minlength=count), 1)
 
 
 def _stays_flat(vertices, faces, normals, index: set[int], ends: tuple[int, int], place: np.ndarray) -> bool:

@@ -34,6 +34,7 @@ def save_primitive(primitive: GenericPrimitive, folder: str | Path) -> Path:
     folder.mkdir(parents=True, exist_ok=True)
     path = folder / f"{primitive.category}.safetensors"
     save_file(_arrays_of(primitive, ""), path)
+    path.chmod(0o644)  # safetensors writes for the owner only; a wheel is read by others
     trimesh.Trimesh(primitive.vertices, primitive.faces, process=False).export(path.with_suffix(".ply"))
     card = {
         "category": primitive.category,

@@ -1,0 +1,334 @@
+"""From meshes of a class to its primitive, and back from disk."""
+
+import json
+import math
+
+import numpy as np
+import pytest
+import real_data
+import trimesh
+from revolved import cup, mug, wall_thickness
+
+from gfp_grasp.errors import AssetMissing, BuildFailed, InvalidMesh, InvalidOption, UnknownCategory, UnreadableFile
+from gfp_grasp.meshes import crossing_faces, load_mesh
+from gfp_grasp.primitives import (
+    BuildConfig,
+    build_from_folder,
+    build_from_shapes,
+    build_primitive,
+    fit_whole_surface,
+    list_primitives,
+    load_primitive,
+    read_primitive,
+    report,
+    save_primitive,
+)
+from gfp_grasp.primitives.correspondence import CorrespondenceConfig, TemplateFitter
+from gfp_grasp.primitives.frame import stand_up
+from gfp_grasp.primitives.modes import shape_model
+from gfp_grasp.primitives.pose import bring_into_one_pose
+from gfp_grasp.primitives.remesh import RemeshConfig, refine, remesh
+from gfp_grasp.primitives.surface import surface_distance_m
+from gfp_grasp.primitives.template import choose_template
+from gfp_grasp.shapes import make_shape, split_seeds
+from gfp_grasp.transforms import random_rotation
+from gfp_grasp.types import HANDLE, INSIDE
+
+QUICK = BuildConfig(
+    rounds=1,
+    parts=False,
+    correspondence=CorrespondenceConfig(steps=6, rounds=3, num_samples=1200),
+    remesh=RemeshConfig(min_edge=0.025, max_edge=0.09, iterations=4),
+)
+
+
+def _thin_cups(count):
+    rng = np.random.default_rng(7)
+    return [
+        cup(height=rng.uniform(0.08, 0.13), bottom=rng.uniform(0.025, 0.03), top=rng.uniform(0.033, 0.045), wall=0.0015)
+        for _ in range(count)
+    ]
+
+
+@pytest.fixture(scope="module")
+def thin_members():
+    return _thin_cups(6)
+
+
+@pytest.fixture(scope="module")
+def thin_primitive(thin_members):
+    return build_primitive(thin_members, "cup", config=QUICK)
+
+
+def test_template_is_the_member_of_the_commonest_topology():
+    members = [mug(), cup(), cup(top=0.05), cup(bottom=0.035)]
+    assert choose_template(members, np.random.default_rng(0)) in (1, 2, 3)
+
+
+def test_bent_template_lies_on_the_member_and_walls_go_to_walls():
+    template = remesh(cup(wall=0.003), np.random.default_rng(0), config=QUICK.remesh)
+    member = cup(height=0.13, bottom=0.024, top=0.046, wall=0.0015)
+    found = TemplateFitter(template).fit(member)
+    bent = trimesh.Trimesh(found.vertices, template.faces, process=False)
+    assert found.residual_m < 0.0003
+    assert found.covered > 0.99
+    assert bent.is_volume
+    assert surface_distance_m(member, bent) < 0.0003
+    assert bent.volume == pytest.approx(member.volume, rel=0.05)
+    thickness = wall_thickness(found.vertices, template.faces, low=0.02, high=0.12)
+    assert abs(np.median(thickness) - 0.0015) < 0.0002
+    # Upper ends stay upper ends: heights correspond in order.
+    assert np.corrcoef(found.vertices[:, 2], template.vertices[:, 2])[0, 1] > 0.99
+
+
+def test_template_fits_itself_without_moving():
+    template = remesh(cup(), np.random.default_rng(0), config=QUICK.remesh)
+    found = TemplateFitter(template).fit(template)
+    assert found.residual_m < 0.0001
+    assert np.linalg.norm(found.vertices - template.vertices, axis=1).mean() < 0.0005
+
+
+def test_stiffness_that_grows_is_refused():
+    with pytest.raises(InvalidOption):
+        CorrespondenceConfig(stiff=0.01, soft=0.1)
+
+
+def test_modes_of_scaled_copies_are_none_and_their_scales_are_found():
+    rng = np.random.default_rng(0)
+    shape, weights = rng.normal(size=(80, 3)), rng.uniform(1, 2, 80)
+    scale = np.exp(0.2 * rng.normal(size=(10, 3)))
+    model = shape_model(shape * scale[:, None], weights)
+    assert model.variance_m2 < 1e-16
+    np.testing.assert_allclose(model.log_scale, np.log(scale) - np.log(scale).mean(axis=0), atol=1e-9)
+    assert len(model.modes) == 0
+
+
+def test_known_modes_are_recovered_with_unit_deviation():
+    rng = np.random.default_rng(1)
+    mean, weights = 0.05 * rng.normal(size=(200, 3)), np.ones(200)
+    axes = np.linalg.qr(rng.normal(size=(600, 2)))[0].T.reshape(2, 200, 3)
+    scores = rng.normal(size=(400, 2)) * [0.02, 0.01]
+    members = mean + np.tensordot(scores, axes, 1)
+    model = shape_model(members, weights, odd_beyond=10.0)
+    assert len(model.modes) == 2
+    np.testing.assert_allclose(model.coefficients.std(axis=0, ddof=1), 1.0, atol=1e-6)
+    rebuilt = (model.mean + np.tensordot(model.coefficients, model.modes, 1)) * np.exp(model.log_scale)[:, None]
+    np.testing.assert_allclose(rebuilt, members, atol=1e-4)
+    assert model.explained[0] == pytest.approx(0.8, abs=0.05)
+
+
+def test_odd_member_bends_neither_mean_nor_main_modes_but_is_expressed():
+    rng = np.random.default_rng(2)
+    mean = 0.05 * rng.normal(size=(100, 3))
+    usual = mean + 0.001 * rng.normal(size=(30, 1, 1)) * rng.normal(size=(100, 3))
+    odd = mean + 0.02 * rng.normal(size=(1, 100, 3))
+    model = shape_model(np.concatenate([usual, odd]), np.ones(100))
+    np.testing.assert_array_equal(np.flatnonzero(model.odd), [30])
+    assert np.linalg.norm(model.mean - mean, axis=1).mean() < 0.0005
+    rebuilt = (model.mean + np.tensordot(model.coefficients[30], model.modes, 1)) * np.exp(model.log_scale[30])
+    assert np.linalg.norm(rebuilt - odd[0], axis=1).mean() < 0.001
+
+
+def test_one_member_makes_no_class():
+    with pytest.raises(InvalidMesh, match="at least two"):
+        shape_model(np.zeros((1, 5, 3)), np.ones(5))
+
+
+@pytest.mark.parametrize("make", [cup, mug])
+def test_turned_class_is_stood_upright(make):
+    mesh = refine(make(), 0.02)
+    vertices = np.array(mesh.vertices)
+    turned = vertices @ random_rotation(np.random.default_rng(4)).T + 0.3
+    stood = stand_up(turned[None], turned, np.array(mesh.faces), upright=False)[0]
+    assert stood[:, 2].min() == pytest.approx(0.0, abs=1e-9)
+    assert np.abs(stood[:, 2] - vertices[:, 2]).max() < 0.002
+    if make is mug:
+        assert np.abs(stood - vertices).max() < 0.004
+
+
+def test_turned_and_scaled_members_come_into_one_pose():
+    rng = np.random.default_rng(5)
+    members, turns = [], []
+    for reach in (0.026, 0.028, 0.03):
+        mesh, R = mug(reach=reach), random_rotation(rng)
+        mesh.vertices = rng.uniform(0.5, 3.0) * mesh.vertices @ R.T + rng.normal(size=3)
+        members.append(mesh)
+        turns.append(R)
+    posed = bring_into_one_pose(members, "any", rng)
+    for before, after, R in zip(members, posed, turns, strict=True):
+        turn = trimesh.registration.procrustes(before.vertices, after.vertices, scale=False)[0][:3, :3] @ R
+        assert np.degrees(np.arccos((np.trace(turn) - 1) / 2)) < 4.0
+        np.testing.assert_allclose(np.sort(before.edges_unique_length), np.sort(after.edges_unique_length))
+
+
+def test_built_primitive_is_a_clean_upright_volume(thin_primitive):
+    mesh = trimesh.Trimesh(thin_primitive.vertices, thin_primitive.faces, process=False)
+    assert mesh.is_volume
+    assert not len(crossing_faces(mesh.vertices, mesh.faces))
+    assert mesh.bounds[0, 2] == 0.0
+    assert np.abs(mesh.bounds[:, :2].sum(axis=0)).max() < 0.001
+    assert thin_primitive.symmetry.order == math.inf
+    assert 0.3 < (thin_primitive.regions == INSIDE).mean() < 0.6
+    assert thin_primitive.twin is None
+    assert thin_primitive.card["members_used"] == 6
+
+
+def test_wall_of_one_and_a_half_millimetres_survives_it_all(thin_primitive):
+    height = float(thin_primitive.vertices[:, 2].max())
+    limits = {"low": 0.15 * height, "high": 0.9 * height}
+    assert np.abs(wall_thickness(thin_primitive.vertices, thin_primitive.faces, **limits) - 0.0015).max() < 0.0003
+
+
+def test_mean_has_the_geometric_mean_size_of_the_members(thin_primitive, thin_members):
+    expected = np.exp(np.mean([np.log(member.extents) for member in thin_members], axis=0))
+    np.testing.assert_allclose(np.ptp(thin_primitive.vertices, axis=0), expected, rtol=0.04)
+    assert np.abs(thin_primitive.coefficient_samples[:, -3:].mean(axis=0)).max() < 1e-9
+
+
+def test_primitive_fits_a_new_member_whole(thin_primitive):
+    member = cup(height=0.1, bottom=0.028, top=0.04, wall=0.0015)
+    vertices, error = fit_whole_surface(thin_primitive, member)
+    assert vertices.shape == thin_primitive.vertices.shape
+    assert error < 0.0006
+
+
+def test_report_measures_held_out_members(thin_primitive):
+    figures = report(thin_primitive, [cup(bottom=0.028, wall=0.0015)])
+    assert figures.held_out == 1
+    assert figures.generalization_mm < 0.6
+    assert 0 < figures.specificity_mm < 20
+    assert figures.figures()["vertices"] == len(thin_primitive.vertices)
+    with pytest.raises(InvalidOption, match="held-out"):
+        report(thin_primitive, [])
+
+
+def test_same_seed_builds_the_same_primitive(thin_members, thin_primitive):
+    again = build_primitive(thin_members, "cup", config=QUICK)
+    np.testing.assert_array_equal(again.vertices, thin_primitive.vertices)
+    np.testing.assert_array_equal(again.modes, thin_primitive.modes)
+
+
+def test_too_few_members_fail_with_the_reasons():
+    flat = trimesh.Trimesh([[0, 0, 0], [1, 0, 0], [0, 1, 0]], [[0, 1, 2]])
+    with pytest.raises(BuildFailed, match="members are left"):
+        build_primitive([cup(), flat, flat], "cup", config=QUICK)
+
+
+def test_unknown_orientation_is_refused():
+    with pytest.raises(InvalidOption, match="placed"):
+        BuildConfig(orientation="sideways")  # pyright: ignore[reportArgumentType]
+
+
+def test_families_and_folders_that_are_not_there_are_refused(tmp_path):
+    with pytest.raises(UnknownCategory, match="cup, mug, bottle"):
+        build_from_shapes("teapot")
+    with pytest.raises(InvalidOption, match="members"):
+        build_from_shapes("cup", members=100000)
+    with pytest.raises(InvalidOption, match="holds no mesh"):
+        build_from_folder(tmp_path, "cup")
+
+
+def test_primitive_comes_back_from_disk(thin_primitive, tmp_path):
+    path = save_primitive(thin_primitive, tmp_path)
+    again = read_primitive(path)
+    for name in ("vertices", "faces", "explained", "log_scale_cov", "coefficient_samples", "regions", "up"):
+        np.testing.assert_array_equal(getattr(again, name), getattr(thin_primitive, name))
+    np.testing.assert_allclose(again.modes, thin_primitive.modes, atol=1e-7)
+    assert again.symmetry.order == math.inf
+    assert trimesh.load_mesh(path.with_suffix(".ply")).is_volume
+    card = json.loads(path.with_suffix(".json").read_text())
+    assert len(card["sha256"]) == 64
+
+
+def test_broken_primitive_files_are_refused_by_name(thin_primitive, tmp_path):
+    path = save_primitive(thin_primitive, tmp_path)
+    content = path.read_bytes()
+    path.write_bytes(content[:-1] + bytes([content[-1] ^ 1]))
+    with pytest.raises(UnreadableFile, match="sha256"):
+        read_primitive(path)
+    path.write_bytes(b"not safetensors at all")
+    with pytest.raises(UnreadableFile):
+        read_primitive(path)
+    path.unlink()
+    with pytest.raises(AssetMissing):
+        read_primitive(path)
+
+
+def test_unknown_primitive_is_refused_with_those_on_offer():
+    with pytest.raises(UnknownCategory, match="bottle, cup, mug"):
+        load_primitive("spaceship")
+
+
+@pytest.mark.parametrize("category", ["bottle", "cup", "mug"])
+def test_shipped_primitive_is_clean(category):
+    assert category in list_primitives()
+    primitive = load_primitive(category)
+    assert primitive is load_primitive(category)
+    bodies = [primitive] + ([primitive.twin] if primitive.twin else [])
+    for body in bodies:
+        mesh = trimesh.Trimesh(body.vertices, body.faces, process=False)
+        assert mesh.is_volume
+        assert not len(crossing_faces(mesh.vertices, mesh.faces))
+        assert all(part.to_trimesh().is_volume for part in body.parts)
+    assert primitive.vertices[:, 2].min() == 0.0
+    assert len(primitive.vertices) <= 1500
+    assert primitive.explained.sum() > 0.95
+    assert len(primitive.coefficient_samples) >= 80
+    assert (primitive.twin is not None) == (category == "mug")
+    if primitive.twin is not None and primitive.twin_map is not None:
+        assert (primitive.regions[primitive.twin_map] != HANDLE).all()
+        np.testing.assert_array_equal(primitive.vertices[primitive.twin_map], primitive.twin.vertices)
+        np.testing.assert_array_equal(primitive.modes[:, primitive.twin_map], primitive.twin.modes)
+
+
+@pytest.mark.parametrize("category", ["bottle", "cup", "mug"])
+def test_shipped_primitive_generalizes_as_its_card_says(category):
+    primitive = load_primitive(category)
+    assert float(str(primitive.card["generalization_mm"])) <= 1.5
+    member = make_shape(category, split_seeds(category, "val")[0]).mesh
+    assert fit_whole_surface(primitive, member)[1] < 0.0015
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("category", ["bottle", "cup", "mug"])
+def test_shipped_primitive_fits_every_real_scan_of_its_class(category):
+    paths = sorted((real_data.folder() / "meshes").glob(f"{category}__*.ply"))
+    assert paths
+    errors = {path.name: fit_whole_surface(load_primitive(category), load_mesh(path))[1] for path in paths}
+    assert max(errors.values()) < 0.002, errors
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(1200)
+def test_class_is_built_from_remeshed_turned_scaled_and_broken_files(tmp_path):
+    rng = np.random.default_rng(11)
+    for number, seed in enumerate(split_seeds("mug", "train")[:20]):
+        mesh = refine(make_shape("mug", seed).mesh, 0.012)
+        vertices = rng.uniform(0.8, 1.25) * mesh.vertices @ random_rotation(rng).T + rng.normal(size=3)
+        faces = np.array(mesh.faces)
+        if number in (3, 8):
+            faces = faces[np.linalg.norm(vertices[faces].mean(axis=1) - vertices[faces[0, 0]], axis=1) > 0.008]
+        if number in (5, 12):
+            faces[rng.permutation(len(faces))[:200]] = faces[rng.permutation(len(faces))[:200]][:, ::-1]
+        if number == 15:
+            faces = faces[:4]
+        order = rng.permutation(len(vertices))
+        place = np.argsort(order)
+        trimesh.Trimesh(vertices[order], place[faces], process=False).export(tmp_path / f"{number:02d}.off")
+    (tmp_path / "broken.off").write_text("OFF\n3 1 0\nnot a mesh")
+    config = BuildConfig(orientation="any", parts=False, correspondence=QUICK.correspondence)
+    primitive = build_from_folder(tmp_path, "mug", config=config)
+    mesh = trimesh.Trimesh(primitive.vertices, primitive.faces, process=False)
+    assert mesh.is_volume
+    assert mesh.euler_number == 0
+    assert not len(crossing_faces(mesh.vertices, mesh.faces))
+    assert "1 more unreadable" in str(primitive.card["data"])
+    assert int(str(primitive.card["members_used"])) >= 13
+    # Upright, handle towards +x, open at the top.
+    handle = primitive.regions == HANDLE
+    assert handle.any()
+    assert primitive.vertices[handle, 0].mean() > 0.9 * np.abs(primitive.vertices[:, 1]).max()
+    assert primitive.twin is not None
+    inside = primitive.regions == INSIDE
+    assert primitive.vertices[inside, 2].max() > 0.85 * primitive.vertices[:, 2].max()
+    assert float(str(primitive.card["generalization_mm"])) < 1.5
