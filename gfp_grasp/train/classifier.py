@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 from dataclasses import dataclass
 from pathlib import Path
@@ -96,7 +97,11 @@ def train_classifier(
         "classes": list(FAMILIES),
         "train": f"procedural train split: {len(examples)} views, {config.views} a shape; {len(foreign)} foreign ones",
     }
-    write_weights(network, out / "classifier.safetensors", config=config, data=data, hours=hours, metrics=metrics)
+    weights_path = out / "classifier.safetensors"
+    card_path = write_weights(network, weights_path, config=config, data=data, hours=hours, metrics=metrics)
+    card = json.loads(card_path.read_text(encoding="utf-8"))
+    card["command"] = f"python -m gfp_grasp.train.classifier --seed {config.seed} --steps {config.steps}"
+    card_path.write_text(json.dumps(card, indent=1) + "\n", encoding="utf-8")
     return metrics
 
 
@@ -156,7 +161,7 @@ def _loss(network: nn.Module, batch: tuple[Tensor, ...]) -> Tensor:
 
 
 def _temperature(network: nn.Module, examples: list[Example]) -> float:
-    """The temperature with the smallest negative log likelihood of an accepted answer (arXiv:1706.04599)."""
+    """The temperature with the smallest negative log likelihood of a right answer (arXiv:1706.04599)."""
     logits = _logits(network, examples, table_known=True)
     accepted = np.array([[family in example.answers for family in FAMILIES] for example in examples])
     candidates = np.geomspace(0.3, 5.0, 57)
@@ -167,10 +172,12 @@ def _temperature(network: nn.Module, examples: list[Example]) -> float:
 def _measure(network: nn.Module, temperature: float, test: list[Example], outside: list[Example]) -> dict[str, object]:
     scores = _softmax(_logits(network, test, table_known=True) / temperature)
     right = _right(scores, test)
+    strict = np.array([FAMILIES[k] in e.answers for k, e in zip(scores.argmax(axis=1), test, strict=True)])
     resting = np.array([example.resting for example in test])
     return {
         "test_views": len(test),
         "accuracy": round(float(right.mean()), 4),
+        "accuracy_cups_named_cup": round(float(strict.mean()), 4),
         "accuracy_by_rest": {str(rest): round(float(right[resting == rest].mean()), 4) for rest in np.unique(resting)},
         "accuracy_table_unknown": round(float(_right(_logits(network, test, table_known=False), test).mean()), 4),
         "mean_top_score": round(float(scores.max(axis=1).mean()), 4),
@@ -182,7 +189,7 @@ def _measure(network: nn.Module, temperature: float, test: list[Example], outsid
 
 def _right(scores: np.ndarray, examples: list[Example]) -> np.ndarray:
     best = scores.argmax(axis=1)
-    return np.array([FAMILIES[k] in example.answers for k, example in zip(best, examples, strict=True)])
+    return np.array([FAMILIES[k] in example.accepted for k, example in zip(best, examples, strict=True)])
 
 
 def _logits(network: nn.Module, examples: list[Example], *, table_known: bool) -> np.ndarray:

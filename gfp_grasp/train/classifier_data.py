@@ -30,7 +30,7 @@ class Example:
     Attributes:
         points: (n, 3) m, on the table z = 0.
         category: Its class, "" for a thing of none.
-        answers: The classes that count as right: both cup and mug where a mug's handle is not seen.
+        answers: The classes that it may be taught as: both cup and mug where a mug's handle is not seen.
         resting: "upright", "upside_down" or "lying".
     """
 
@@ -38,6 +38,11 @@ class Example:
     category: str
     answers: tuple[str, ...]
     resting: str
+
+    @property
+    def accepted(self) -> tuple[str, ...]:
+        """The classes that count as right: cup and mug are told apart only where a handle is seen."""
+        return ("cup", "mug") if "cup" in self.answers else self.answers
 
 
 def family_examples(
