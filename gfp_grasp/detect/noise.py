@@ -30,7 +30,8 @@ def estimate_sigma(points: np.ndarray, viewpoint: np.ndarray | None = None) -> f
     _, near = KDTree(points).query(chosen, k=_NEIGHBOURS)
     local = points[near] - points[near].mean(axis=1, keepdims=True)
     variance, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", local, local))
-    residual = np.sqrt(np.maximum(variance[:, 0], 0.0) / (_NEIGHBOURS - 3))  # three degrees of freedom go into the plane
+    # Three degrees of freedom go into the plane.
+    residual = np.sqrt(np.maximum(variance[:, 0], 0.0) / (_NEIGHBOURS - 3))
     if viewpoint is not None:
         rays = chosen - viewpoint
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
