@@ -86,7 +86,9 @@ def test_normals_that_do_not_fit_the_points_are_refused():
         project(np.zeros((4, 3)), np.zeros((5, 3)), np.zeros((4, 3)), np.zeros((4, 3)), radius_m=0.01)
 
 
-@pytest.mark.parametrize("knobs", [{"radius_m": 0.0}, {"radius_m": 0.01, "degree": 3}, {"radius_m": 0.01, "iterations": 0}])
+@pytest.mark.parametrize(
+    "knobs", [{"radius_m": 0.0}, {"radius_m": 0.01, "degree": 3}, {"radius_m": 0.01, "iterations": 0}]
+)
 def test_knobs_out_of_range_are_refused(knobs):
     four = np.zeros((4, 3))
     with pytest.raises(InvalidOption):

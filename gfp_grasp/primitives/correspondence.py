@@ -118,7 +118,7 @@ class TemplateFitter:
         good = ((surface.normals[index] * normals).sum(axis=1) > _COMPATIBLE).astype(float)
         points, point_normals = surface.points[back], surface.normals[back]
         tree = KDTree(np.hstack([vertices, normals * weight]))
-        near = tree.query(np.hstack([points, point_normals * weight]))[1]
+        near = np.asarray(tree.query(np.hstack([points, point_normals * weight]))[1])
         offset = points - vertices[near]
         keep = ((point_normals * normals[near]).sum(axis=1) > _COMPATIBLE) & (np.linalg.norm(offset, axis=1) < reach)
         near, offset = near[keep], self._slide(offset, point_normals)[keep]

@@ -13,6 +13,8 @@ _ROUNDS = 20
 _FOR_ODD = 4
 # Members that differ by less than this share of their size are alike, and none of them is odd.
 _ALIKE = 0.002
+# A deviation below this share of the size is rounding.
+_NOTHING = 1e-7
 # A mode below this share of the variance has no direction worth keeping.
 _LEAST_SHARE = 1e-5
 
@@ -67,14 +69,16 @@ def shape_model(
     usual = np.ones(len(members), dtype=bool)
     mean, log_scale, rest = _scale_and_mean(members, w, usual)
     distance = np.sqrt(np.einsum("v,svc->s", w, rest**2))
-    least = _ALIKE * float(np.sqrt(w @ (mean**2).sum(axis=1)))
-    usual = distance <= odd_beyond * max(float(np.median(distance)), least)
+    size = float(np.sqrt(w @ (mean**2).sum(axis=1)))
+    usual = distance <= odd_beyond * max(float(np.median(distance)), _ALIKE * size)
     mean, log_scale, rest = _scale_and_mean(members, w, usual)
 
     root = np.sqrt(np.repeat(w, 3))
     flat = rest.reshape(len(members), -1) * root
     total = float((flat**2).sum() / (len(members) - 1))
     reserved = min(_FOR_ODD, int((~usual).sum()), max_modes - 1)
+    if total < (_NOTHING * size) ** 2:
+        flat = np.zeros_like(flat)
     axes = _principal(flat[usual], variance, max_modes - reserved)
     num_main = len(axes)
     left = flat - flat @ axes.T @ axes
@@ -83,7 +87,7 @@ def shape_model(
     axes = axes * np.where(axes.sum(axis=1) < 0, -1.0, 1.0)[:, None]  # the sign is free: fix it
     scores = flat @ axes.T
     spread = np.where(np.arange(len(axes)) < num_main, _deviation(scores[usual]), _deviation(scores))
-    modes = (axes / root * spread[:, None]).reshape(len(axes), -1, 3)
+    modes = (axes / root * spread[:, None]).reshape(len(axes), len(w), 3)
     explained = (scores**2).sum(axis=0) / (len(members) - 1) / max(total, 1e-300)
     return ShapeModel(mean, modes, explained, log_scale, scores / spread, total, ~usual)
 

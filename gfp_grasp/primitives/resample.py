@@ -65,7 +65,7 @@ def resample(
     limit = config.max_edge * float(np.linalg.norm(np.ptp(shapes[0], axis=0)))
     history = _collapse_all(shapes, faces, limit)
     low, high = 0, len(history)  # low collapses are fine, more than high are not
-    while low < high:
+    while high - low > len(history) // 100:
         count = (low + high + 1) // 2
         carry, thin = _carrier(shapes[0], faces, *_after(history, count, faces, len(shapes[0])))
         if _fits(shapes, faces, carry, thin, rng, config):
@@ -186,7 +186,7 @@ def _carrier(dense: np.ndarray, faces: np.ndarray, kept: np.ndarray, thin: np.nd
 def _nearest_faces(points, normals, triangles, face_normals) -> tuple[np.ndarray, np.ndarray]:
     """The face (n,) on the same sheet that is nearest to each point, and the barycentric weights (n, 3) of its foot."""
     tree = KDTree(triangles.mean(axis=1))
-    index = tree.query(points, k=min(24, len(triangles)))[1]
+    index = np.asarray(tree.query(points, k=min(24, len(triangles)))[1])
     flat = np.repeat(points, index.shape[1], axis=0)
     feet = trimesh.triangles.closest_point(triangles[index.ravel()], flat).reshape(*index.shape, 3)
     distance = np.linalg.norm(feet - points[:, None], axis=2)

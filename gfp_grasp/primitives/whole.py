@@ -112,7 +112,8 @@ def _descend(
         own = vertex_normals(vertices, primitive.faces)
         index = surface.nearest(vertices, own, normal_weight_m=weight)
         good = (surface.normals[index] * own).sum(axis=1) > _COMPATIBLE
-        near = KDTree(np.hstack([vertices, own * weight])).query(np.hstack([points, normals * weight]))[1]
+        tree = KDTree(np.hstack([vertices, own * weight]))
+        near = np.asarray(tree.query(np.hstack([points, normals * weight]))[1])
         kept = (normals * own[near]).sum(axis=1) > _COMPATIBLE
         rows = np.concatenate([np.flatnonzero(good), near[kept]])
         target = np.concatenate([surface.points[index[good]], points[kept]])
