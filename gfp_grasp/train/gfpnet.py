@@ -19,7 +19,7 @@ from gfp_grasp.train.labels import Label, make_labels
 from gfp_grasp.train.loop import Batch, LoopConfig, shuffled, train, write_weights
 
 DEFAULTS: dict[Variant, LoopConfig] = {
-    "patch": LoopConfig(steps=8000, batch=128, rate=1e-3, decay=0.75),
+    "patch": LoopConfig(steps=4000, batch=128, rate=1e-3, decay=0.75),
     # The paper's optimiser, rate and batch; steps are ours.
     "paper-iterative": LoopConfig(steps=1500, batch=256),
     "paper-oneshot": LoopConfig(steps=3000, batch=256),
@@ -68,7 +68,7 @@ def train_gfpnet(
         report=report,
     )
     network = network.half().float()
-    held_out, _ = _patches("val", num_views, limit, runs, workers, fit)
+    held_out, _ = _patches("val", num_views, None if limit is None else max(1, limit // 4), runs, workers, fit)
     out = out or data_dir("weights") / f"{WEIGHTS[variant]}.safetensors"
     return write_weights(
         network,

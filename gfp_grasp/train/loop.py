@@ -120,8 +120,9 @@ def write_weights(
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     save_file({name: tensor.half().contiguous() for name, tensor in network.state_dict().items()}, path)
+    path.chmod(0o644)  # safetensors writes for the owner alone, and a wheel keeps the mode
     card = {
-        "command": " ".join(["gfp-grasp", *sys.argv[1:]]),
+        "command": _command(),
         "config": asdict(config),  # type: ignore[call-overload]
         "data": dict(data),
         "hours": round(hours, 3),
@@ -146,6 +147,14 @@ def shuffled(parts: Batch, batch: int) -> Callable[[torch.Generator], Iterator[B
                 yield tuple(part[index] for part in parts)
 
     return stream
+
+
+def _command() -> str:
+    """The command line that is running, as a user would type it."""
+    main = sys.modules["__main__"]
+    if main.__spec__ is not None and main.__spec__.name:
+        return " ".join(["python -m", main.__spec__.name.removesuffix(".__main__"), *sys.argv[1:]])
+    return " ".join([Path(sys.argv[0]).name, *sys.argv[1:]])
 
 
 def _save_checkpoint(path: Path, network, optimiser, schedule, done: int, seconds: float) -> None:
