@@ -9,7 +9,7 @@ import typer
 
 from gfp_grasp.cli.terminal import JsonFile, Limit, Objects, Seed, Split, Workers, err, out, save_json, table, track
 
-bench = typer.Typer(name="bench", help="Measure detection and completion.", no_args_is_help=True)
+bench = typer.Typer(name="bench", help="Measure detection, registration and completion.", no_args_is_help=True)
 
 
 @bench.command()
@@ -56,6 +56,38 @@ def detection(
         report = measure(data, num_views=views, workers=workers)
     out.print_json(json.dumps(report))
     save_json(json_file, report)
+
+
+@bench.command()
+def registration(
+    starts: Annotated[str, typer.Option(help="box, pcrnet, or both with a comma between.")] = "box,pcrnet",
+    views: Annotated[int, typer.Option(min=1, help="Of each object.")] = 4,
+    limit: Limit = None,
+    mean_size: Annotated[bool, typer.Option("--mean-size", help="Starts have the mean size.")] = False,
+    workers: Workers = 1,
+    json_file: JsonFile = None,
+    seed: Seed = 0,
+) -> None:
+    """Pose, size and shape of fits against the truth, with PCRNet's start and without."""
+    from gfp_grasp.bench.registration import RegistrationBench, bench_registration
+
+    config = RegistrationBench(views, limit, seed, mean_size)
+    chosen = tuple(starts.split(","))
+    report = bench_registration(starts=chosen, config=config, workers=workers, progress=track("shapes"))
+    rows = report["rows"]
+    assert isinstance(rows, Mapping)
+    headings = ("class", "start", "axis, deg", "yaw, deg", "middle, mm", "size", "CD, mm", "wrong rest", "ms", "failed")
+    table(headings, [(c, s, *_fit_figures(row)) for c, figures in rows.items() for s, row in figures.items()], words=2)
+    save_json(json_file, report)
+
+
+def _fit_figures(row: Mapping) -> tuple[str, ...]:
+    def text(key: str, style: str, factor: float = 1.0) -> str:
+        return "" if row[key] is None else format(factor * row[key], style)
+
+    degrees, millimetres = (text("axis_deg", ".1f"), text("yaw_deg", ".1f")), text("offset_m", ".1f", 1000)
+    rest = (text("size", ".1%"), text("cd_m", ".1f", 1000), text("wrong_rest", ".0%"), text("ms", ".0f"))
+    return (*degrees, millimetres, *rest, f"{row['failed']} of {row['views']}")
 
 
 def _figures(row: Mapping) -> tuple[str, ...]:

@@ -23,6 +23,8 @@ Objects = Annotated[str, typer.Option(help="Family (cup, mug, bottle; several: c
 JsonFile = Annotated[Path | None, typer.Option("--json", dir_okay=False, help="Write all figures to this file.")]
 
 out = Console()
+if not out.is_terminal:
+    out.width = 120  # a file or a log has no width of its own
 err = Console(stderr=True)
 
 

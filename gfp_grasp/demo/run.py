@@ -18,8 +18,6 @@ from gfp_grasp.demo.recorded import recorded_story
 from gfp_grasp.demo.simulated import EYES, simulated_story
 from gfp_grasp.demo.story import HEADINGS, Story, row
 
-_FILE_WIDTH = 120  # of tables that go into a file or a log, where nothing has a width
-
 
 def run_demo(
     out: Path,
@@ -45,8 +43,6 @@ def run_demo(
         GfpGraspError: A recording cannot be read, or nothing in it can be completed.
     """
     console = console or Console(quiet=True)
-    if not console.is_terminal:
-        console.width = _FILE_WIDTH
     start = time.perf_counter()
     tellers = _recorded(recordings, out, category, seed) if recordings else _simulated(out, seed)
     stories, notes = [], []

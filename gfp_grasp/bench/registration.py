@@ -1,0 +1,145 @@
+"""Bench of registrations: `gfp-grasp bench registration`.
+
+Views of the procedural test split, class and support known. Each start is followed by the same refinement, so that the
+rows tell what PCRNet's start is worth.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, replace
+from functools import partial
+
+import numpy as np
+import trimesh
+
+from gfp_grasp.errors import FitDiverged, InvalidOption
+from gfp_grasp.meshes import sample_surface
+from gfp_grasp.metrics import chamfer_m
+from gfp_grasp.parallel import pmap
+from gfp_grasp.primitives import load_primitive
+from gfp_grasp.register import FitConfig, fit_primitive
+from gfp_grasp.shapes import FAMILIES, make_shape, split_seeds
+from gfp_grasp.train.views import View, ViewsConfig, render_views
+from gfp_grasp.transforms import apply_T
+from gfp_grasp.types import HANDLE, FittedPrimitive, GenericPrimitive
+
+STARTS = ("box", "pcrnet")
+_SAMPLES = 4096
+
+
+@dataclass(frozen=True)
+class RegistrationBench:
+    """What is measured on.
+
+    Attributes:
+        views: Of each shape.
+        limit: Shapes of each family; None takes the whole test split.
+        seed: Of views and noise.
+        mean_size: Starts have the mean size, so that the size is left to the refinement.
+    """
+
+    views: int = 4
+    limit: int | None = None
+    seed: int = 0
+    mean_size: bool = False
+
+    def __post_init__(self) -> None:
+        if self.views < 1:
+            raise InvalidOption(f"views is {self.views}; at least 1 is expected")
+
+
+def bench_registration(
+    *,
+    starts: Sequence[str] = STARTS,
+    config: RegistrationBench = RegistrationBench(),
+    workers: int = 1,
+    progress=None,
+) -> dict[str, object]:
+    """Errors of fits from each start.
+
+    Args:
+        starts: Some of STARTS.
+        config: Views.
+        workers: Processes.
+        progress: Wraps the stream of finished shapes.
+
+    Returns:
+        {"settings", "rows": {class: {start: {"axis_deg", "yaw_deg", "offset_m", "size", "cd_m", "wrong_rest", "ms",
+        "views", "failed"}}}, "trials": [...]}. Errors are medians over the views that were fitted: the angle between
+        the upright axes; the turn about them, only where the class has a handle; the distance between the
+        objects' middles; the relative error of the diagonal; the Chamfer distance between fitted and true surface,
+        hidden parts and all. `wrong_rest` is the share whose hypothesis of rest is wrong.
+
+    Raises:
+        InvalidOption: An unknown start.
+    """
+    unknown = set(starts) - set(STARTS)
+    if unknown:
+        raise InvalidOption(f"unknown starts {sorted(unknown)}; legal are {', '.join(STARTS)}")
+    jobs = [(family, int(seed)) for family in FAMILIES for seed in split_seeds(family, "test")[: config.limit]]
+    trials = pmap(partial(_shape_trials, starts=tuple(starts), config=config), jobs, workers=workers, progress=progress)
+    flat = [row for rows in trials for row in rows]
+    rows = {
+        family: {s: _summary([r for r in flat if r["family"] == family and r["start"] == s]) for s in starts}
+        for family in FAMILIES
+    }
+    rows["all"] = {s: _summary([r for r in flat if r["start"] == s]) for s in starts}
+    return {"settings": {**asdict(config), "view": asdict(ViewsConfig())}, "rows": rows, "trials": flat}
+
+
+def _shape_trials(job: tuple[str, int], *, starts: tuple[str, ...], config: RegistrationBench) -> list[dict]:
+    family, seed = job
+    primitive, rows = load_primitive(family), []
+    for number, view in enumerate(render_views(family, seed, num_views=config.views, first_seed=config.seed)):
+        for start in starts:
+            began = time.perf_counter()
+            fit_config = replace(FitConfig(mean_size=config.mean_size), start=start)  # pyright: ignore[reportArgumentType]
+            try:
+                errors = _errors(fit_primitive(view.detection(), primitive, config=fit_config), view, primitive)
+            except FitDiverged as error:
+                errors = {"error": str(error)}
+            milliseconds = round(1000 * (time.perf_counter() - began), 1)
+            rows.append({"family": family, "seed": seed, "view": number, "start": start, "ms": milliseconds, **errors})
+    return rows
+
+
+def _errors(fit: FittedPrimitive, view: View, primitive: GenericPrimitive) -> dict[str, float | bool]:
+    R, R_true = fit.T_world_object[:3, :3], view.T_world_object[:3, :3]
+    mesh, rng = make_shape(view.family, view.seed).mesh, np.random.default_rng(view.seed)
+    fitted = sample_surface(trimesh.Trimesh(fit.vertices_world(), primitive.faces, process=False), _SAMPLES, rng)[0]
+    true = apply_T(view.T_world_object, sample_surface(mesh, _SAMPLES, rng)[0])
+    size, size_true = (float(np.linalg.norm(np.ptp(points, axis=0))) for points in (fitted, true))
+    middle, middle_true = ((points.min(axis=0) + points.max(axis=0)) / 2 for points in (fitted, true))
+    errors: dict[str, float | bool] = {
+        "axis_deg": _degrees(R[:, 2], R_true[:, 2]),
+        "offset_m": float(np.linalg.norm(middle - middle_true)),
+        "size": abs(size / size_true - 1.0),
+        "cd_m": chamfer_m(fitted, true),
+        "wrong_rest": fit.hypothesis != view.resting,
+    }
+    if (primitive.regions == HANDLE).any():  # without a handle, most members are round and have no yaw
+        level = R_true[:, 0] - (R_true[:, 0] @ R[:, 2]) * R[:, 2]
+        errors["yaw_deg"] = _degrees(R[:, 0], level)
+    return errors
+
+
+def _degrees(a: np.ndarray, b: np.ndarray) -> float:
+    cosine = a @ b / max(float(np.linalg.norm(a) * np.linalg.norm(b)), 1e-12)
+    return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+
+
+def _summary(rows: list[dict]) -> dict[str, float | int | None]:
+    fitted = [row for row in rows if "error" not in row]
+
+    def median(key: str) -> float | None:
+        values = [row[key] for row in fitted if key in row]
+        return round(float(np.median(values)), 5) if values else None
+
+    return {
+        **{key: median(key) for key in ("axis_deg", "yaw_deg", "offset_m", "size", "cd_m", "ms")},
+        "wrong_rest": round(float(np.mean([row["wrong_rest"] for row in fitted])), 4) if fitted else None,
+        "views": len(rows),
+        "failed": len(rows) - len(fitted),
+    }
