@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -19,13 +19,14 @@ from gfp_grasp.train.labels import Label, make_labels
 from gfp_grasp.train.loop import Batch, LoopConfig, shuffled, train, write_weights
 
 DEFAULTS: dict[Variant, LoopConfig] = {
-    "patch": LoopConfig(steps=4000, batch=128, rate=1e-3, decay=0.75),
+    "patch": LoopConfig(steps=5000, batch=128, rate=1e-3, decay=0.75, weight_decay=0.01),
     # The paper's optimiser, rate and batch; steps are ours.
     "paper-iterative": LoopConfig(steps=1500, batch=256),
     "paper-oneshot": LoopConfig(steps=3000, batch=256),
 }
 _CHAMFER_SHARE = 0.7  # the paper's loss: 0.7 Chamfer distance + 0.3 Laplacian
 _NEIGHBOURS = 8
+_NOISE_M = 0.0005
 
 
 def train_gfpnet(
@@ -61,7 +62,7 @@ def train_gfpnet(
     data, counts = _patches("train", num_views, limit, runs, workers, fit)
     network, hours = train(
         make_network(variant),
-        shuffled(data, config.batch),
+        augmented(shuffled(data, config.batch)) if variant == "patch" else shuffled(data, config.batch),
         paper_loss if variant != "patch" else point_loss,
         config=config,
         checkpoint=runs / "gfpnet" / f"{variant}.pt",
@@ -84,6 +85,31 @@ def train_gfpnet(
         hours=hours,
         metrics=_measure(network, held_out),
     )
+
+
+def augmented(stream: Callable[[torch.Generator], Iterator[Batch]]) -> Callable[[torch.Generator], Iterator[Batch]]:
+    """Patches mirrored left to right, with noisier and sparser template points; all that a class may show anyway."""
+
+    def batches(generator: torch.Generator) -> Iterator[Batch]:
+        for source, source_normals, template, template_normals, carried, target in stream(generator):
+            b, m, _ = template.shape
+            sign = torch.ones(b, 1, 3)
+            sign[:, 0, 1] = (torch.randint(0, 2, (b,), generator=generator) * 2 - 1).float()
+            # A random share of the template points is lost: others stand in for them, as where few were seen.
+            kept = torch.rand(b, 1, generator=generator) * 0.9 + 0.1
+            stand_in = (torch.rand(b, m, generator=generator) * kept * m).long()
+            pick = torch.argsort(torch.rand(b, m, generator=generator), dim=1).gather(1, stand_in)[..., None]
+            noise = torch.randn(b, m, 3, generator=generator) * (_NOISE_M / UNIT_M)
+            yield (
+                source * sign,
+                source_normals * sign,
+                (template * sign + noise).gather(1, pick.expand(b, m, 3)),
+                (template_normals * sign).gather(1, pick.expand(b, m, 3)),
+                carried.gather(1, pick[..., 0]),
+                target * sign,
+            )
+
+    return batches
 
 
 def point_loss(network: nn.Module, batch: Batch) -> Tensor:

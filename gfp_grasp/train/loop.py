@@ -28,6 +28,7 @@ class LoopConfig:
         batch: Samples a step.
         rate: Adam's learning rate at the start.
         decay: Factor on the rate after each of ten equal spans of the schedule (the paper's 0.92).
+        weight_decay: Decoupled decay of the weights a step (AdamW); 0 is the paper's Adam.
         seed: Of initial weights and of the order of the samples.
         bf16: Multiply in bfloat16 (autocast); weights and losses stay float32.
         checkpoint_s: Seconds between checkpoints.
@@ -38,6 +39,7 @@ class LoopConfig:
     batch: int
     rate: float = 1e-4
     decay: float = 0.92
+    weight_decay: float = 0.0
     seed: int = 0
     bf16: bool = True
     checkpoint_s: float = 60.0
@@ -57,7 +59,7 @@ def train(
     checkpoint: Path,
     report: Callable[[int, float], None] | None = None,
 ) -> tuple[nn.Module, float]:
-    """Optimise a network with Adam; resumes from the checkpoint where there is one.
+    """Optimise a network with Adam (AdamW where weights decay); resumes from the checkpoint where there is one.
 
     Args:
         network: Freshly made after `torch.manual_seed(config.seed)`.
@@ -71,7 +73,7 @@ def train(
         The trained network in evaluation mode, and the hours of wall clock that all runs took.
     """
     network.to(config.device).train()
-    optimiser = torch.optim.Adam(network.parameters(), lr=config.rate)
+    optimiser = torch.optim.AdamW(network.parameters(), lr=config.rate, weight_decay=config.weight_decay)
     span = max(1, config.steps // 10)
     schedule = torch.optim.lr_scheduler.StepLR(optimiser, span, config.decay)
     done, seconds = 0, 0.0
