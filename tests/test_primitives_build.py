@@ -19,8 +19,8 @@ from gfp_grasp.primitives import (
     fit_whole_surface,
     list_primitives,
     load_primitive,
+    measure_primitive,
     read_primitive,
-    report,
     save_primitive,
 )
 from gfp_grasp.primitives.correspondence import CorrespondenceConfig, TemplateFitter
@@ -193,13 +193,13 @@ def test_primitive_fits_a_new_member_whole(thin_primitive):
 
 
 def test_report_measures_held_out_members(thin_primitive):
-    figures = report(thin_primitive, [cup(bottom=0.028, wall=0.0015)])
+    figures = measure_primitive(thin_primitive, [cup(bottom=0.028, wall=0.0015)])
     assert figures.held_out == 1
     assert figures.generalization_mm < 0.6
     assert 0 < figures.specificity_mm < 20
     assert figures.figures()["vertices"] == len(thin_primitive.vertices)
     with pytest.raises(InvalidOption, match="held-out"):
-        report(thin_primitive, [])
+        measure_primitive(thin_primitive, [])
 
 
 @pytest.mark.slow

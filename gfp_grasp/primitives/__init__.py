@@ -1,7 +1,7 @@
 """Generic Primitives: building them from meshes of a class, measuring them, loading the ones that ship."""
 
 from gfp_grasp.primitives.build import BuildConfig, build_primitive
-from gfp_grasp.primitives.report import PrimitiveReport, report
+from gfp_grasp.primitives.figures import PrimitiveReport, measure_primitive
 from gfp_grasp.primitives.source import build_from_folder, build_from_shapes
 from gfp_grasp.primitives.store import list_primitives, load_primitive, read_primitive, save_primitive
 from gfp_grasp.primitives.whole import WholeConfig, fit_whole_surface
@@ -16,7 +16,7 @@ __all__ = [
     "fit_whole_surface",
     "list_primitives",
     "load_primitive",
+    "measure_primitive",
     "read_primitive",
-    "report",
     "save_primitive",
 ]

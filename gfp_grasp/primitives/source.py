@@ -11,8 +11,8 @@ import trimesh
 from gfp_grasp.errors import GfpGraspError, InvalidOption, UnknownCategory
 from gfp_grasp.meshes import load_mesh, make_solid
 from gfp_grasp.primitives.build import BuildConfig, Progress, build_primitive
+from gfp_grasp.primitives.figures import measure_primitive
 from gfp_grasp.primitives.pose import bring_into_one_pose
-from gfp_grasp.primitives.report import report
 from gfp_grasp.shapes import FAMILIES, make_shape, split_seeds
 from gfp_grasp.types import GenericPrimitive
 
@@ -56,7 +56,9 @@ def build_from_shapes(
     config = config or BuildConfig(licence=_LICENCE_OF_SHAPES)
     meshes = [make_shape(family, number).mesh for number in train[:members]]
     primitive = build_primitive(meshes, family, config=config, seed=seed, progress=progress)
-    figures = report(primitive, [make_shape(family, number).mesh for number in val[:held_out]], progress=progress)
+    figures = measure_primitive(
+        primitive, [make_shape(family, number).mesh for number in val[:held_out]], progress=progress
+    )
     card = {
         "command": f"gfp-grasp gps build {family} --limit {members} --seed {seed}",
         "seed": seed,
@@ -107,7 +109,7 @@ def build_from_folder(
     figures = {}
     if held_out:
         posed = _posed(held_out, primitive, config, seed)
-        figures = report(primitive, posed, progress=progress).figures() if posed else {}
+        figures = measure_primitive(primitive, posed, progress=progress).figures() if posed else {}
     return replace(primitive, card={**card, **primitive.card, **figures})
 
 

@@ -21,7 +21,7 @@ from gfp_grasp.train.loop import Batch, LoopConfig, shuffled, train, write_weigh
 from gfp_grasp.train.views import View, cached_views
 from gfp_grasp.transforms import rotation_about, rotation_between
 
-DEFAULT = LoopConfig(steps=2500, batch=32, rate=3e-4)
+DEFAULT = LoopConfig(steps=1500, batch=32, rate=1e-3)
 _MAX_YAW_RAD = np.deg2rad(50)
 
 

@@ -45,7 +45,7 @@ class PrimitiveReport:
         return {name: round(value, 3) if isinstance(value, float) else value for name, value in asdict(self).items()}
 
 
-def report(
+def measure_primitive(
     primitive: GenericPrimitive,
     held_out: Sequence[trimesh.Trimesh],
     *,
