@@ -1,8 +1,11 @@
 """The program: its commands, and what becomes of a refusal."""
 
+import os
+import sys
 from collections.abc import Sequence
 
 import typer
+from threadpoolctl import threadpool_limits
 
 from gfp_grasp.cli.benching import bench
 from gfp_grasp.cli.demonstrating import demo
@@ -31,8 +34,11 @@ def main(arguments: Sequence[str] | None = None) -> None:
     Args:
         arguments: After the program's name; None takes those of the process.
     """
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    if words[:1] != ["train"]:
+        _keep_to_one_thread()
     try:
-        app(args=list(arguments) if arguments is not None else None, prog_name="gfp-grasp")
+        app(args=words, prog_name="gfp-grasp")
     except GfpGraspError as error:
         say_error(f"{type(error).__name__}: {error}")
         raise SystemExit(2) from None
@@ -42,3 +48,10 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except KeyboardInterrupt:
         say_error("stopped")
         raise SystemExit(130) from None
+
+
+def _keep_to_one_thread() -> None:
+    """Matrices and networks are small here: on two busy cores, threads that wait made a completion 8 times slower."""
+    if "OMP_NUM_THREADS" not in os.environ:
+        os.environ["OMP_NUM_THREADS"] = "1"  # for libraries that are loaded later, and for workers
+        threadpool_limits(1)  # for numpy, which is loaded already
