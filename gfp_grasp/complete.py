@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 
 from gfp_grasp.deform import DeformConfig, deform
 from gfp_grasp.detect import clean_cloud, detect_objects, detect_single
-from gfp_grasp.errors import FitDiverged, InvalidOption, UnknownCategory
+from gfp_grasp.errors import FitDiverged, InvalidCloud, InvalidOption, UnknownCategory
 from gfp_grasp.meshes import crossing_faces
 from gfp_grasp.observation import canonical_frame, mark_observed, order_points
 from gfp_grasp.primitives import list_primitives, load_primitive
@@ -191,8 +191,8 @@ def complete_to_mesh(
     points = order_points(clean_cloud(cloud), seed=seed)
     detection = detect_single(
         points,
-        viewpoint=None if viewpoint is None else np.asarray(viewpoint, dtype=np.float64),
-        up=None if up is None else np.asarray(up, dtype=np.float64),
+        viewpoint=_checked_vector(viewpoint, "viewpoint"),
+        up=_checked_vector(up, "up", direction=True),
         support_height=support_height,
         view=view,
         mask=mask,
@@ -221,7 +221,7 @@ def complete_scene(
         NothingDetected: No object stands out from the support.
     """
     done = []
-    for detection in detect_objects(image, up=None if up is None else np.asarray(up, dtype=np.float64)):
+    for detection in detect_objects(image, up=_checked_vector(up, "up", direction=True)):
         try:
             done.append(complete_detection(detection, config=config, seed=seed))
         except FitDiverged as error:
@@ -315,6 +315,22 @@ def _solid(fit: FittedPrimitive) -> FittedPrimitive:
 def _check_category(category: str | None) -> None:
     if category is not None and category not in list_primitives():
         raise UnknownCategory(f"there is no primitive of {category!r}; there are {', '.join(list_primitives())}")
+
+
+def _checked_vector(value: ArrayLike | None, name: str, *, direction: bool = False) -> np.ndarray | None:
+    if value is None:
+        return None
+    try:
+        vector = np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise InvalidCloud(f"{name} is {value!r}; three numbers are expected") from error
+    if vector.shape != (3,) or not np.isfinite(vector).all():
+        raise InvalidCloud(f"{name} is {value!r}; three finite numbers are expected")
+    if direction and np.linalg.norm(vector) < 1e-9:
+        raise InvalidCloud(
+            f"{name} has no length: give the direction that is up, e.g. (0, 0, 1), or None to estimate it"
+        )
+    return vector
 
 
 class _Clock:

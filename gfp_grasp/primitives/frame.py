@@ -15,6 +15,8 @@ _UP = np.array([0.0, 0.0, 1.0])
 _ROUND = 0.035
 # An opening shows this share of the vertices as inside.
 _HOLLOW = 0.08
+# A pose at rest whose up is within 35 degrees of the axis stands on that end of it.
+_SAME_END = np.cos(np.radians(35.0))
 # The base is what lies within this share of the height above the lowest point.
 _BASE = 0.02
 _MAX_SEAT_TURN = np.radians(10.0)
@@ -64,14 +66,22 @@ def _upright(mean: np.ndarray, faces: np.ndarray) -> np.ndarray:
     _, axes = np.linalg.eigh(np.cov((surface.points - centre).T))
     moved = [_turned_distance(surface, centre, axis) for axis in axes.T]
     axis = axes[:, int(np.argmin(moved))]
+    rests = _resting_turns(mesh)
     if min(moved) > _ROUND * diagonal:
-        poses, chances = trimesh.poses.compute_stable_poses(mesh.convex_hull)
-        return poses[int(np.argmax(chances))][:3, :3]
+        return rests[0]
     choices = [rotation_between(sign * axis, _UP) for sign in (1.0, -1.0)]
     hollow = [enclosed(trimesh.Trimesh(mean @ R.T, faces, process=False)).mean() for R in choices]
-    if max(hollow) > _HOLLOW:
-        return choices[int(np.argmax(hollow))]
-    return choices[int(np.argmax([_base_area(mean @ R.T) for R in choices]))]
+    score = hollow if max(hollow) > _HOLLOW else [_base_area(mean @ R.T) for R in choices]
+    R = choices[int(np.argmax(score))]
+    # A handle tilts the axis of inertia; the base does not lie.
+    near = [rest for rest in rests if (R.T @ _UP) @ (rest.T @ _UP) > _SAME_END]
+    return rotation_between(R @ near[0].T @ _UP, _UP) @ R if near else R
+
+
+def _resting_turns(mesh: trimesh.Trimesh) -> list[np.ndarray]:
+    """Rotations (3, 3) in which the mesh rests on a plane, the likeliest first."""
+    poses, chances = trimesh.poses.compute_stable_poses(mesh.convex_hull)
+    return [poses[i][:3, :3] for i in np.argsort(-chances)]
 
 
 def _turned_distance(surface: Surface, centre: np.ndarray, axis: np.ndarray) -> float:
