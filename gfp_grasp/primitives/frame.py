@@ -7,6 +7,7 @@ import trimesh
 
 from gfp_grasp.meshes import vertex_normals
 from gfp_grasp.primitives.anatomy import enclosed
+from gfp_grasp.primitives.procrustes import centroid_size
 from gfp_grasp.primitives.surface import Surface
 from gfp_grasp.transforms import rotation_about, rotation_between
 
@@ -51,7 +52,8 @@ def stand_up(members: np.ndarray, mean: np.ndarray, faces: np.ndarray, *, uprigh
     # The axis is where the body's centroid of the mean says; a member's own extremes would be noisier.
     offset = mean[body, :2].mean(axis=0) - axis
     members = members.copy()
-    members[..., :2] -= (members[:, body, :2].mean(axis=1) - offset)[:, None]
+    size = np.array([centroid_size(member) for member in members])[:, None] / centroid_size(mean)
+    members[..., :2] -= (members[:, body, :2].mean(axis=1) - size * offset)[:, None]
     members[..., 2] -= members[..., 2].min(axis=1)[:, None]
     return members
 
