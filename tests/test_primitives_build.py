@@ -38,7 +38,7 @@ QUICK = BuildConfig(
     rounds=1,
     parts=False,
     correspondence=CorrespondenceConfig(steps=6, rounds=3, num_samples=1200),
-    remesh=RemeshConfig(min_edge=0.025, max_edge=0.09, iterations=4),
+    remesh=RemeshConfig(min_edge=0.027, max_edge=0.1, iterations=4),
 )
 
 
@@ -56,6 +56,16 @@ def thin_members():
 
 
 @pytest.fixture(scope="module")
+def template():
+    return remesh(cup(wall=0.003), np.random.default_rng(0), config=QUICK.remesh)
+
+
+@pytest.fixture(scope="module")
+def fitter(template):
+    return TemplateFitter(template)
+
+
+@pytest.fixture(scope="module")
 def thin_primitive(thin_members):
     return build_primitive(thin_members, "cup", config=QUICK)
 
@@ -65,10 +75,9 @@ def test_template_is_the_member_of_the_commonest_topology():
     assert choose_template(members, np.random.default_rng(0)) in (1, 2, 3)
 
 
-def test_bent_template_lies_on_the_member_and_walls_go_to_walls():
-    template = remesh(cup(wall=0.003), np.random.default_rng(0), config=QUICK.remesh)
+def test_bent_template_lies_on_the_member_and_walls_go_to_walls(template, fitter):
     member = cup(height=0.13, bottom=0.024, top=0.046, wall=0.0015)
-    found = TemplateFitter(template).fit(member)
+    found = fitter.fit(member)
     bent = trimesh.Trimesh(found.vertices, template.faces, process=False)
     assert found.residual_m < 0.0003
     assert found.covered > 0.99
@@ -81,9 +90,8 @@ def test_bent_template_lies_on_the_member_and_walls_go_to_walls():
     assert np.corrcoef(found.vertices[:, 2], template.vertices[:, 2])[0, 1] > 0.99
 
 
-def test_template_fits_itself_without_moving():
-    template = remesh(cup(), np.random.default_rng(0), config=QUICK.remesh)
-    found = TemplateFitter(template).fit(template)
+def test_template_fits_itself_without_moving(template, fitter):
+    found = fitter.fit(template)
     assert found.residual_m < 0.0001
     assert np.linalg.norm(found.vertices - template.vertices, axis=1).mean() < 0.0015  # it may slide a little
 
