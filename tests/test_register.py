@@ -1,5 +1,6 @@
 import numpy as np
 import pytest
+import trimesh
 from toy_primitive import random_cup, see, toy_cup_primitive
 
 from gfp_grasp.errors import FitDiverged, InvalidOption, TooFewPoints
@@ -15,8 +16,6 @@ BOX = FitConfig(start="box")
 
 
 def _error(fit, truth) -> float:
-    import trimesh
-
     mesh = trimesh.Trimesh(fit.vertices_world(), fit.primitive.faces, process=False)
     rng = np.random.default_rng(0)
     return chamfer_m(sample_surface(mesh, 8000, rng)[0], sample_surface(truth, 8000, rng)[0])
@@ -64,9 +63,11 @@ def test_fit_shifts_with_its_input():
         scores={"cup": 1.0},
         box=OrientedBox(T @ detection.box.T_world_box, detection.box.extents),
     )
-    first = fit_primitive(detection, toy_cup_primitive(), config=BOX).vertices_world()
-    second = fit_primitive(moved, toy_cup_primitive(), config=BOX).vertices_world()
-    assert np.abs(apply_T(T, first) - second).max() < 0.002
+    first, second = (fit_primitive(d, toy_cup_primitive(), config=BOX) for d in (detection, moved))
+    # The cup is round: its vertices may be turned about the axis, its surface may not move.
+    surface = trimesh.Trimesh(apply_T(T, first.vertices_world()), first.primitive.faces, process=False)
+    distance = trimesh.proximity.closest_point(surface, second.vertices_world())[1]
+    assert np.quantile(distance, 0.95) < 0.001
 
 
 def test_scale_switched_off_leaves_scale_at_its_start_and_fits_worse():
