@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import trimesh
 from numpy.typing import ArrayLike
+from threadpoolctl import threadpool_limits
 
 from gfp_grasp.deform import DeformConfig, deform
 from gfp_grasp.detect import clean_cloud, detect_objects, detect_single
@@ -242,10 +243,16 @@ def complete_detection(detection: Detection, *, config: CompleteConfig | None = 
         FitDiverged: No primitive could be fitted.
     """
     config = config or CompleteConfig()
-    clock = _Clock()
     if max(detection.scores.values(), default=1.0) < _SURE_SCORE:
         scores = ", ".join(f"{name} {score:.2f}" for name, score in detection.scores.items())
         warnings.warn(f"no known class is likely ({scores}); the best is completed all the same", stacklevel=2)
+    # The matrices are small: more threads of linear algebra than one wait for each other, on busy cores for seconds.
+    with threadpool_limits(limits=1):
+        return _complete(detection, config, seed)
+
+
+def _complete(detection: Detection, config: CompleteConfig, seed: int) -> Completion:
+    clock = _Clock()
     # Everything below runs in a frame tied to the object and the viewer, so that the answer moves with its input.
     detection_here, T_world_here = canonical_frame(detection, seed=seed)
     fit = _best_fit(detection_here, config)

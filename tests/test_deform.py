@@ -31,7 +31,8 @@ def test_snake_draws_a_sphere_onto_a_larger_one():
 def test_snake_does_not_pull_a_wall_to_the_other_side_of_it():
     """A plate 2 mm thick; points only on its top, 0.5 mm above: the bottom must not follow to the top."""
     box = trimesh.creation.box((0.06, 0.06, 0.002))
-    plate = trimesh.Trimesh(*trimesh.remesh.subdivide_to_size(box.vertices, box.faces, 0.004))
+    vertices, faces = trimesh.remesh.subdivide_to_size(box.vertices, box.faces, 0.004)[:2]
+    plate = trimesh.Trimesh(vertices, faces)
     xy = np.random.default_rng(0).uniform(-0.03, 0.03, (4000, 2))
     points = np.column_stack([xy, np.full(4000, 0.0015)])
     normals = np.tile([0.0, 0.0, 1.0], (4000, 1))
