@@ -6,8 +6,6 @@ import time
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from functools import cached_property
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -15,6 +13,7 @@ import trimesh
 from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
+from gfp_grasp.completion import Completion
 from gfp_grasp.deform import DeformConfig, deform
 from gfp_grasp.detect import clean_cloud, detect_objects, detect_single
 from gfp_grasp.errors import FitDiverged, InvalidCloud, InvalidOption, UnknownCategory
@@ -23,7 +22,6 @@ from gfp_grasp.observation import canonical_frame, mark_observed, order_points
 from gfp_grasp.primitives import list_primitives, load_primitive
 from gfp_grasp.register import FitConfig, fit_evidence, gather_evidence, handle_is_seen
 from gfp_grasp.types import (
-    CollisionMesh,
     CompletedShape,
     DepthImage,
     Detection,
@@ -60,93 +58,6 @@ class CompleteConfig:
             raise InvalidOption(f"rival_share is {self.rival_share}; a number in (0, 1] is expected")
         if self.handle_rule not in ("seen", "always"):
             raise InvalidOption(f"handle_rule is {self.handle_rule!r}; 'seen' or 'always' is expected")
-
-
-@dataclass(frozen=True, eq=False)
-class Completion:
-    """A completed object with what it was completed from.
-
-    Attributes:
-        shape: The completed surface, what of it was seen, and how sure the rest is.
-        detection: The observation.
-    """
-
-    shape: CompletedShape
-    detection: Detection
-
-    @property
-    def mesh(self) -> trimesh.Trimesh:
-        """Watertight mesh, m, in the input's frame."""
-        return self.shape.mesh
-
-    @property
-    def fit(self) -> FittedPrimitive | None:
-        """The registered primitive; None where none was used."""
-        return self.shape.fit
-
-    @property
-    def category(self) -> str:
-        """Class whose primitive was fitted, or the detection's."""
-        return self.shape.fit.primitive.category if self.shape.fit else self.detection.category
-
-    @property
-    def scores(self) -> Mapping[str, float]:
-        """Probability of each known class."""
-        return self.detection.scores
-
-    @property
-    def T_world_object(self) -> np.ndarray:
-        """(4, 4) pose of the primitive, or of the observed box where none was fitted."""
-        return self.shape.fit.T_world_object if self.shape.fit else self.detection.box.T_world_box
-
-    @property
-    def scale(self) -> np.ndarray:
-        """(3,) scale along the primitive's axes; ones where none was fitted."""
-        return self.shape.fit.scale if self.shape.fit else np.ones(3)
-
-    @property
-    def observed(self) -> np.ndarray:
-        """(v,) bool, seen from the viewpoint and within three sensor sigmas of a point."""
-        return self.shape.observed
-
-    @property
-    def sigma_m(self) -> np.ndarray:
-        """(v,) m, standard deviation of the surface's position."""
-        return self.shape.sigma_m
-
-    @property
-    def timings_s(self) -> Mapping[str, float]:
-        """Seconds by stage."""
-        return self.shape.timings_s
-
-    @cached_property
-    def collision(self) -> CollisionMesh:
-        """Convex parts with their figures, made at first access."""
-        from gfp_grasp.collision import collision_of
-
-        return collision_of(self.shape)
-
-    @property
-    def parts(self) -> tuple[trimesh.Trimesh, ...]:
-        """Convex parts, m, in the input's frame."""
-        return self._part_meshes
-
-    @cached_property
-    def _part_meshes(self) -> tuple[trimesh.Trimesh, ...]:
-        return tuple(part.to_trimesh() for part in self.collision.parts)
-
-    def export(self, path: str | Path) -> Path:
-        """Write the completion; the suffix chooses: .obj .ply .stl .glb (mesh), .xml (MJCF), .urdf.
-
-        Returns:
-            The path written.
-
-        Raises:
-            InvalidOption: Another suffix; the message lists these.
-        """
-        from gfp_grasp.export import export_completion
-
-        return export_completion(self.mesh, self.parts, Path(path), name=self.category or "object")
 
 
 def complete_to_mesh(

@@ -237,7 +237,8 @@ def test_a_script_without_a_main_guard_prints_what_it_prints_and_nothing_more(tm
 
 
 LONG = """
-import sys, numpy as np, trimesh
+import signal, sys, numpy as np, trimesh
+signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs inherit it ignored
 from gfp_grasp.collision.guard import run_guarded
 ball = trimesh.creation.icosphere(subdivisions=5, radius=0.1)
 ball.vertices *= 1 + 0.3 * np.sin(ball.vertices[:, :1] * 90)

@@ -16,7 +16,7 @@ ROWS = (
     ("errors", "types", "assets", "transforms", "parallel"),
     ("camera", "meshes", "metrics", "shapes", "collision"),
     ("observation", "primitives", "detect", "register", "deform", "grasps"),
-    ("complete", "completers", "export", "scenes", "datasets", "captures"),
+    ("complete", "completers", "completion", "export", "scenes", "datasets", "captures"),
     ("envs", "train"),
     ("report", "score", "bench", "cli", "demo"),
 )
