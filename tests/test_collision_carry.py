@@ -7,7 +7,7 @@ import trimesh
 from gfp_grasp.collision import DecomposeConfig, carry_parts, collision_of, decompose
 from gfp_grasp.collision.convex import volume_m3, within_parts
 from gfp_grasp.collision.fidelity import union_error_m
-from gfp_grasp.errors import AssetMissing, DecompositionFailed, InvalidMesh, UnknownCategory
+from gfp_grasp.errors import DecompositionFailed, InvalidMesh
 from gfp_grasp.primitives import load_primitive
 from gfp_grasp.types import CompletedShape, ConvexPart, FittedPrimitive, GenericPrimitive, Symmetry
 
@@ -194,12 +194,8 @@ def test_carried_parts_are_kept_with_a_warning_where_coacd_fails(monkeypatch):
 
 
 def shipped(category: str) -> GenericPrimitive:
-    try:
-        found = load_primitive(category)
-    except (AssetMissing, UnknownCategory):
-        pytest.skip(f"no primitive {category!r} is built")
-    if not found.parts:
-        pytest.skip(f"primitive {category!r} is built without parts")
+    found = load_primitive(category)
+    assert found.parts
     return found
 
 
