@@ -19,6 +19,8 @@ from gfp_grasp.observation import mark_observed
 from gfp_grasp.types import CollisionMesh, CompletedShape, ConvexPart, Detection
 
 COMPLETERS = ("oracle", "observed", "mirror", "registration", "gfpnet")
+# These look at points alone, so that nobody has to load a network for them; a user's own may ask for the class.
+_BLIND_TO_CLASS = ("oracle", "observed", "mirror")
 
 # Edges of hulls are split to this length, so that seen and unseen surface can be told apart on them.
 _EDGE_M = 0.008
@@ -71,6 +73,11 @@ def completer(name: str) -> Completer:
     if name in built_in:
         return built_in[name]
     return _of_user(_imported(name))
+
+
+def needs_class(name: str) -> bool:
+    """Whether a completer, by name, looks at the class of its detection; without one it runs without torch."""
+    return name not in _BLIND_TO_CLASS
 
 
 class Oracle:

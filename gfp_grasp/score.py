@@ -16,13 +16,13 @@ from gfp_grasp.complete import Completion
 from gfp_grasp.completers import COMPLETERS, completer
 from gfp_grasp.envs.grasp_env import GfpGraspEnv
 from gfp_grasp.envs.settings import TrialSettings
-from gfp_grasp.errors import GfpGraspError, InvalidOption
+from gfp_grasp.errors import GfpGraspError, InvalidMesh, InvalidOption
 from gfp_grasp.grasps import plan_grasps
 from gfp_grasp.metrics import CompletionErrors, completion_errors
 from gfp_grasp.parallel import pmap
 from gfp_grasp.primitives import list_primitives
 from gfp_grasp.report import Report, Trial
-from gfp_grasp.scenes import load_objects
+from gfp_grasp.scenes import ObjectSource, load_objects
 from gfp_grasp.types import Grasp
 
 ALL_CLASSES = "*"
@@ -62,6 +62,7 @@ def score(
     Raises:
         UnknownCompleter: A name that is not on offer.
         InvalidOption: Objects that are not there, no object of these classes, or views below one.
+        InvalidMesh: Files of which no object can be made; all of them are named, before anything is scored.
     """
     if views < 1:
         raise InvalidOption(f"views is {views}; at least 1 is expected")
@@ -115,7 +116,25 @@ def _chosen(objects: str | Path, split: str, classes: Sequence[str] | None, limi
     if not kept:
         found = ", ".join(sorted({source.category for source in sources}))
         raise InvalidOption(f"no object is of class {', '.join(sorted(wanted))}; there are: {found}")
-    return kept[:limit]
+    kept = kept[:limit]
+    _refuse_broken([sources[i] for i, _ in kept])
+    return kept
+
+
+def _refuse_broken(sources: Sequence[ObjectSource]) -> None:
+    """Now, not in the middle of a night's work."""
+    broken = []
+    for source in sources:
+        if source.path is None:
+            continue
+        try:
+            source.load_mesh()
+        except GfpGraspError as error:
+            broken.append(f"{source.path.name} ({error})")
+    if broken:
+        raise InvalidMesh(
+            f"{len(broken)} of {len(sources)} files cannot be scored, repair them or take them out: {'; '.join(broken)}"
+        )
 
 
 def _classes(classes: Sequence[str] | None) -> set[str]:

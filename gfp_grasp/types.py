@@ -119,8 +119,8 @@ class Detection:
         cloud: Points of this object only, world frame.
         up: (3,) unit, the support's normal (not the object's axis).
         support: The plane it rests on, or None where it is unknown.
-        category: Best class.
-        scores: Probability of each class that is known, sums to one.
+        category: Best class; "" where no class was asked for.
+        scores: Probability of each class that is known, sums to one; empty where no class was asked for.
         box: Oriented box of the observed points, its z along up.
         view: The whole depth picture, for free space, or None.
         mask: (h, w) bool, this object's pixels in the view, or None.

@@ -28,6 +28,7 @@ class DetectConfig:
         max_points: Points of a cloud that are looked at; more are thinned evenly.
         max_object_points: Points that a detection keeps.
         max_width_m: One object of a known class is not wider; two clusters farther apart are refused.
+        classify: Name the class of each object; False leaves `category` "" and `scores` empty, and needs no torch.
     """
 
     support: SupportConfig = field(default_factory=SupportConfig)
@@ -35,6 +36,7 @@ class DetectConfig:
     max_points: int = 400_000
     max_object_points: int = 60_000
     max_width_m: float = 0.45
+    classify: bool = True
 
     def __post_init__(self) -> None:
         if self.max_points < 1000 or self.max_object_points < 1000 or self.max_width_m <= 0:
@@ -86,12 +88,14 @@ def make_detection(
 ) -> Detection:
     """A detection of the points of one object: category, box, sensor noise."""
     points = points[:: -(-len(points) // config.max_object_points)]
-    scores = {category: 1.0} if category else _scores(points, up, support)
+    scores = {category: 1.0} if category else {}
+    if config.classify and not category:
+        scores = _scores(points, up, support)
     return Detection(
         cloud=PointCloud(points, viewpoint),
         up=up,
         support=support,
-        category=max(scores, key=lambda name: scores[name]),
+        category=max(scores, key=lambda name: scores[name], default=""),
         scores=scores,
         box=upright_box(points, up),
         view=view,

@@ -75,6 +75,8 @@ def find_support(
     Returns:
         The plane, its normal towards up or the camera; None where there is no such plane.
     """
+    if len(points) == 0:
+        return None
     rng = np.random.default_rng(0)  # the same cloud has the same table
     sample = _even_sample(np.asarray(points, dtype=np.float64), rng)
     if len(sample) < 50:

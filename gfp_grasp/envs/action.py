@@ -11,6 +11,8 @@ from gfp_grasp.types import Grasp
 NUM_ACTION = 10
 # Actions come as float32, whose rounding may leave the box by this much.
 _ROUNDING = 1e-5
+# Axes may be off unit length and square by this much, which turns the grasp by less than a tenth of a degree.
+_RIGID = 1e-3
 # Shorter than this, a column has no direction.
 _SHORT = 1e-4
 
@@ -49,9 +51,11 @@ class ActionCode:
         """Action (10,) float32 of a grasp.
 
         Raises:
-            InvalidAction: The grasp is outside of the workspace box or wider than max_width_m.
+            InvalidAction: The grasp is outside of the workspace box, wider than max_width_m, or not rigid.
         """
         T = grasp.T_world_gripper
+        if not np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=_RIGID) or np.linalg.det(T[:3, :3]) < 0:
+            raise InvalidAction(f"the rotation of T_world_gripper is no rotation:\n{T[:3, :3]}")
         position = (T[:3, 3] - self.centre_m) / self.half_m
         width = 2.0 * grasp.width_m / self.max_width_m - 1.0
         action = np.concatenate([position, T[:3, 2], T[:3, 1], [width]])
@@ -68,7 +72,13 @@ class ActionCode:
         Raises:
             InvalidAction: Wrong shape, not finite, or outside of -1 to 1.
         """
-        vector = np.asarray(action, dtype=np.float64)
+        try:
+            raw = np.asarray(action)
+        except ValueError as error:  # rows of different lengths
+            raise InvalidAction(f"action is {action!r}; an array of ({NUM_ACTION},) numbers is expected") from error
+        if raw.dtype.kind not in "biuf":
+            raise InvalidAction(f"action is of type {raw.dtype}; ({NUM_ACTION},) numbers are expected")
+        vector = raw.astype(np.float64)
         if vector.shape != (NUM_ACTION,):
             raise InvalidAction(f"action has shape {vector.shape}; ({NUM_ACTION},) is expected")
         if not np.isfinite(vector).all():

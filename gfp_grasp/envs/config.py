@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass, fields
+
+import numpy as np
 
 from gfp_grasp.camera import SensorModel
 from gfp_grasp.errors import InvalidOption
@@ -25,7 +28,7 @@ class EnvConfig:
         num_points: Rows of both clouds in the observation.
         image_width: Columns of the depth picture.
         image_height: Rows.
-        fov_deg: Vertical field of view.
+        fov_deg: Vertical field of view, above 0 and below 180.
         distance_m: From the camera to the object.
         elevation_min_deg: Lowest view above the horizon.
         elevation_max_deg: Highest.
@@ -54,14 +57,19 @@ class EnvConfig:
 
     def __post_init__(self) -> None:
         for name, legal in (("world", WORLDS), ("sensor", SENSORS), ("render_mode", RENDER_MODES)):
-            if getattr(self, name) not in legal:
-                raise InvalidOption(f"{name} is {getattr(self, name)!r}; legal are {', '.join(map(repr, legal))}")
+            value = getattr(self, name)
+            if not isinstance(value, str | None) or value not in legal:
+                raise InvalidOption(f"{name} is {value!r}; legal are {', '.join(map(repr, legal))}")
+        for field in fields(self):
+            object.__setattr__(self, field.name, _plain(field.name, str(field.type), getattr(self, field.name)))
         for name in ("num_points", "image_width", "image_height", "fov_deg", "distance_m"):
             if not getattr(self, name) > 0:
                 raise InvalidOption(f"{name} is {getattr(self, name)}; a positive number is expected")
         for name in ("limit", "noise_m", "spread_m"):
             if not getattr(self, name) >= 0:
                 raise InvalidOption(f"{name} is {getattr(self, name)}; zero or more is expected")
+        if self.fov_deg >= 180:
+            raise InvalidOption(f"fov_deg is {self.fov_deg}; degrees below 180 are expected")
         if not -90 < self.elevation_min_deg <= self.elevation_max_deg < 90:
             raise InvalidOption(
                 f"elevations are {self.elevation_min_deg} to {self.elevation_max_deg} degrees; "
@@ -89,3 +97,24 @@ class EnvConfig:
         return {"ideal": SensorModel.ideal, "realsense": SensorModel.realsense, "kinect": SensorModel.kinect}[
             self.sensor
         ]()
+
+
+def _plain(name: str, kind: str, value: object) -> str | int | float | None:
+    """The value as Python's own type, whatever number or path it came as.
+
+    Raises:
+        InvalidOption: It is of another kind, or a number that is not finite.
+    """
+    if kind.startswith("str"):
+        if isinstance(value, str) or (value is None and "None" in kind):
+            return value
+        if name == "objects" and isinstance(value, os.PathLike):
+            return os.fspath(value)
+        raise InvalidOption(f"{name} is {value!r}; a string is expected")
+    whole = kind == "int"
+    numbers = (int, np.integer) if whole else (int, float, np.integer, np.floating)
+    if isinstance(value, (bool, np.bool_)) or not isinstance(value, numbers):
+        raise InvalidOption(f"{name} is {value!r}; {'a whole' if whole else 'a'} number is expected")
+    if not np.isfinite(value):
+        raise InvalidOption(f"{name} is {value}; a finite number is expected")
+    return int(value) if whole else float(value)

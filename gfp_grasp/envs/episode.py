@@ -9,8 +9,8 @@ import numpy as np
 
 from gfp_grasp.camera import apply_sensor, intrinsics, render_depth, sample_viewpoint
 from gfp_grasp.complete import Completion
-from gfp_grasp.completers import Completer, Oracle
-from gfp_grasp.detect import detect_objects
+from gfp_grasp.completers import Completer, Oracle, needs_class
+from gfp_grasp.detect import DetectConfig, detect_objects
 from gfp_grasp.envs.config import EnvConfig
 from gfp_grasp.envs.world import World
 from gfp_grasp.errors import AssetMissing, GfpGraspError, NothingDetected
@@ -71,11 +71,12 @@ def draw_episode(
     image = _look(world, target, config, rng)
     if given is not None:
         return Episode(truth, world.T_world_object, image, given.detection, given)
+    detect = DetectConfig(classify=needs_class(config.completer))
     detection, completion, failure = None, None, ""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
-            detection = _largest(detect_objects(image, up=_UP))
+            detection = _largest(detect_objects(image, up=_UP, config=detect))
             completion = _complete(complete, detection, truth, world.T_world_object)
         except AssetMissing:  # says nothing of the object: the installation is broken
             raise

@@ -20,12 +20,12 @@ from gfp_grasp.envs.picture import shade
 from gfp_grasp.envs.settings import TrialSettings
 from gfp_grasp.envs.trial import run_trial
 from gfp_grasp.envs.world import TARGET, World
-from gfp_grasp.errors import InvalidOption
+from gfp_grasp.errors import GfpGraspError, InvalidOption
 from gfp_grasp.scenes import load_objects
 from gfp_grasp.types import Outcome, TrueObject
 
-# Compiled scenes are kept for this many objects; a mug is about a megabyte.
-_KEPT_WORLDS = 64
+# Compiled scenes are kept for this many objects, at up to 7 MB each; making one anew takes 0.1 s.
+_KEPT_WORLDS = 16
 _RESET_OPTIONS = ("object", "completion")
 
 
@@ -107,16 +107,8 @@ class GfpGraspEnv(gymnasium.Env[Observation, np.ndarray], EzPickle):
     ) -> tuple[Observation, dict[str, Any]]:
         """Draw an object, its place and a view; detect and complete it."""
         super().reset(seed=seed)
-        options = options or {}
-        unknown = sorted(set(options) - set(_RESET_OPTIONS))
-        if unknown:
-            raise InvalidOption(f"unknown reset option {unknown}; legal are {', '.join(_RESET_OPTIONS)}")
-        drawn = int(self.np_random.integers(len(self.sources)))
-        number = options.get("object", drawn)
-        if number not in range(len(self.sources)):
-            raise InvalidOption(f"there is no object {number!r}; there are 0 to {len(self.sources) - 1}")
+        number, given = self._chosen(options)
         truth, world = self._true_world(number)
-        given = options.get("completion")
         self._episode = draw_episode(truth, world, self._complete, self.config, self.np_random, given=given)
         self._world = self._world_of(self._episode, world)
         self._observation = observe(self._episode, self.config, self.np_random)
@@ -124,9 +116,9 @@ class GfpGraspEnv(gymnasium.Env[Observation, np.ndarray], EzPickle):
 
     def step(self, action: np.ndarray) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Attempt one grasp."""
-        grasp = self.action_code.decode(action)
         if self._observation is None:
             raise gymnasium.error.ResetNeeded("reset the environment before its first step")
+        grasp = self.action_code.decode(action)
         if self._world is None:
             outcome = Outcome(False, "no_grasp_found", 0.0, 0.0, self.settings.as_dict())
         else:
@@ -149,10 +141,33 @@ class GfpGraspEnv(gymnasium.Env[Observation, np.ndarray], EzPickle):
         self._truths.clear()
         self._world = self._episode = self._observation = None
 
+    def _chosen(self, options: dict[str, Any] | None) -> tuple[int, Completion | None]:
+        """Number of the object and the completion to use, as asked for or drawn."""
+        drawn = int(self.np_random.integers(len(self.sources)))  # always, so that later draws do not depend on options
+        if options is None:
+            return drawn, None
+        legal = ", ".join(_RESET_OPTIONS)
+        if not isinstance(options, dict):
+            raise InvalidOption(f"reset options are {options!r}; a dict is expected, of {legal}")
+        unknown = [key for key in options if key not in _RESET_OPTIONS]
+        if unknown:
+            raise InvalidOption(f"unknown reset option {', '.join(map(repr, unknown))}; legal are {legal}")
+        number, given = options.get("object", drawn), options.get("completion")
+        if not isinstance(number, (int, np.integer)) or not 0 <= number < len(self.sources):
+            raise InvalidOption(f"there is no object {number!r}; there are 0 to {len(self.sources) - 1}")
+        if given is not None and not isinstance(given, Completion):
+            raise InvalidOption(f"completion is a {type(given).__name__}; a Completion or None is expected")
+        return int(number), given
+
     def _true_world(self, number: int) -> tuple[TrueObject, World]:
         if number not in self._truths:
-            truth = self.sources[number].load()
-            self._truths[number] = (truth, World.of_truth(truth))
+            source = self.sources[number]
+            try:
+                truth = source.load()
+                self._truths[number] = (truth, World.of_truth(truth))
+            except GfpGraspError as error:
+                advice = f"repair it or take it out of {self.config.objects!r}"
+                raise type(error)(f"object {source.name!r} cannot be simulated, {advice}: {error}") from error
             if len(self._truths) > _KEPT_WORLDS:
                 self._truths.popitem(last=False)
         self._truths.move_to_end(number)

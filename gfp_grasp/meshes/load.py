@@ -103,6 +103,7 @@ def _parse(content: bytes, suffix: str) -> trimesh.Trimesh:
     loaded = trimesh.load_scene(io.BytesIO(content), file_type=suffix, process=False, **options)
     mesh = loaded.to_mesh()
     mesh = trimesh.Trimesh(np.array(mesh.vertices), np.array(mesh.faces), process=False, validate=False)
-    if len(mesh.faces) and mesh.faces.min() >= 0 and mesh.faces.max() < len(mesh.vertices):
+    sound = len(mesh.faces) and mesh.faces.min() >= 0 and mesh.faces.max() < len(mesh.vertices)
+    if sound and np.isfinite(mesh.vertices).all():  # anything else is for check_mesh to refuse
         mesh.merge_vertices()
     return mesh

@@ -7,13 +7,15 @@ from collections.abc import Callable
 import numpy as np
 import trimesh
 
-from gfp_grasp.errors import DecompositionFailed
+from gfp_grasp.errors import DecompositionFailed, InvalidMesh
 from gfp_grasp.meshes import check_mesh, make_solid
 from gfp_grasp.scenes.cache import decompose_cached
 from gfp_grasp.types import CollisionMesh, TrueObject
 
 Decompose = Callable[[trimesh.Trimesh], CollisionMesh]
 
+# Longest side of what one hand grasps off a table; beyond it a file is in millimetres or inches, or has no unit at all.
+_SIZES_M = (0.01, 1.0)
 # A mesh that fills less of its hull than this is an open vessel, whose walls weigh; more is a bottle with contents.
 _VESSEL_FILL = 0.5
 _WALL_DENSITY = (900.0, 2400.0)  # kg/m3, plastic to stoneware
@@ -42,7 +44,7 @@ def true_object(
         x = y = 0, already passes through it.
 
     Raises:
-        InvalidMesh: No solid can be made of the mesh.
+        InvalidMesh: No solid can be made of the mesh, or its longest side is not within 1 cm and 1 m.
         DecompositionFailed: The mesh is all crumbs.
     """
     mesh = rested(solid_mesh(mesh_or_shape))
@@ -58,9 +60,15 @@ def solid_mesh(mesh_or_shape: object) -> trimesh.Trimesh:
     """A watertight mesh; the very same one where it already is a volume.
 
     Raises:
-        InvalidMesh: It cannot be closed, or is none.
+        InvalidMesh: It cannot be closed, is none, or its longest side is not within 1 cm and 1 m.
     """
     mesh = check_mesh(getattr(mesh_or_shape, "mesh", mesh_or_shape))  # pyright: ignore[reportArgumentType]
+    longest_m = float(np.max(mesh.extents))
+    if not _SIZES_M[0] <= longest_m <= _SIZES_M[1]:
+        raise InvalidMesh(
+            f"the mesh is {longest_m:.3g} m long, {_SIZES_M[0]} to {_SIZES_M[1]} m are expected: scale it to metres, "
+            "by 0.001 if its file is in millimetres"
+        )
     return mesh if mesh.is_volume else make_solid(mesh)[0]
 
 

@@ -69,7 +69,7 @@ def load_objects(
 
     Raises:
         InvalidOption: No family, file or folder of that name, an unknown split, or a limit below one.
-        UnreadableFile: The folder holds no mesh.
+        UnreadableFile: The file is of another suffix, or the folder holds no mesh.
     """
     from gfp_grasp.shapes import FAMILIES, split_seeds
 
@@ -77,11 +77,17 @@ def load_objects(
         raise InvalidOption(f"split is {split!r}; legal are {', '.join(SPLITS)}")
     if limit is not None and limit < 1:
         raise InvalidOption(f"limit is {limit}; at least 1, or None, is expected")
-    families = [family.strip() for family in str(family_or_folder).split(",")]
+    families = [family.strip() for family in str(family_or_folder).split(",") if family.strip()]
+    if not families:
+        raise InvalidOption(
+            f"objects is {str(family_or_folder)!r}; families ({', '.join(FAMILIES)}), a mesh file or a folder"
+        )
     if all(family in FAMILIES for family in families):
         return _in_turns([_shape_sources(family, split_seeds(family, split)) for family in families])[:limit]
     path = Path(family_or_folder)
     if path.is_file():
+        if path.suffix.lower() not in SUFFIXES:
+            raise UnreadableFile(f"{path.name}: suffix {path.suffix!r} is not among {', '.join(SUFFIXES)}")
         return (_file_source(path),)
     if path.is_dir():
         return _folder_sources(path)[:limit]
@@ -102,7 +108,9 @@ def _in_turns(lists: list[list[ObjectSource]]) -> tuple[ObjectSource, ...]:
 def _folder_sources(folder: Path) -> tuple[ObjectSource, ...]:
     files = sorted(file for file in folder.iterdir() if file.is_file() and file.suffix.lower() in SUFFIXES)
     if not files:
-        raise UnreadableFile(f"{folder} holds no mesh: files with a suffix of {', '.join(SUFFIXES)} are looked for")
+        raise UnreadableFile(
+            f"{folder} holds no mesh: files with a suffix of {', '.join(SUFFIXES)} are looked for, subfolders are not"
+        )
     sources = tuple(_file_source(file) for file in files)
     if len({source.name for source in sources}) < len(sources):  # a.ply beside a.obj
         return tuple(_file_source(file, whole_name=True) for file in files)
@@ -111,7 +119,7 @@ def _folder_sources(folder: Path) -> tuple[ObjectSource, ...]:
 
 def _file_source(path: Path, *, whole_name: bool = False) -> ObjectSource:
     category, mark, name = path.stem.partition("__")
-    name = name if mark else path.stem
+    name = name if mark and name else path.stem
     if whole_name:
         name = path.name
     return ObjectSource(name, category if mark else "", path=path)
