@@ -65,7 +65,8 @@ def test_patches_cover_every_vertex_and_hold_what_they_promise(fitted):
     fit, detection, _ = fitted
     primitive = fit.primitive
     vertices = primitive.shape(fit.coefficients, fit.scale)
-    patches = make_patches(primitive, vertices, template_points(fit, detection))
+    patches = make_patches(primitive, vertices, template_points(fit, detection), None)
+    assert set(patches.index.ravel()) == set(range(len(vertices)))
     assert patches.source.shape[1:] == (NUM_SOURCE, 3)
     assert patches.template.shape[1:] == (NUM_TEMPLATE, 3)
     assert np.linalg.det(patches.frames) == pytest.approx(np.ones(len(patches.frames)))
@@ -78,22 +79,32 @@ def test_patches_cover_every_vertex_and_hold_what_they_promise(fitted):
 
 def test_default_network_is_equivariant_to_the_order_of_source_points():
     torch.manual_seed(0)
-    network = PatchNet().eval()
+    network = PatchNet().double().eval()
     torch.manual_seed(1)
     for weights in network.decode.parameters():
         torch.nn.init.normal_(weights)
-    s, sn, t, tn, c = (
-        torch.randn(2, 64, 3),
-        torch.randn(2, 64, 3),
-        torch.randn(2, 64, 3),
-        torch.randn(2, 64, 3),
-        torch.zeros(2, 64),
-    )
+    s, sn, t, tn = (torch.randn(2, 3, 64, 3, dtype=torch.float64) for _ in range(4))
+    c, pull, place = torch.zeros(2, 3, 64).double(), torch.randn(2, 3, 64, 8).double(), torch.rand(2, 3, 10).double()
     order = torch.randperm(64)
-    offset, sigma = network(s, sn, t, tn, c)
-    permuted, permuted_sigma = network(s[:, order], sn[:, order], t, tn, c)
-    assert torch.allclose(permuted, offset[:, order], atol=1e-5)
-    assert torch.allclose(permuted_sigma, sigma[:, order], atol=1e-5)
+    offset, sigma = network(s, sn, t, tn, c, pull, place)
+    permuted, permuted_sigma = network(s[:, :, order], sn[:, :, order], t, tn, c, pull[:, :, order], place)
+    assert torch.allclose(permuted, offset[:, :, order])
+    assert torch.allclose(permuted_sigma, sigma[:, :, order])
+
+
+def test_a_patch_that_sees_nothing_is_told_by_the_others_and_not_by_points_that_are_not_its_own():
+    torch.manual_seed(0)
+    network = PatchNet().eval()
+    for weights in network.decode.parameters():
+        torch.nn.init.normal_(weights)
+    s, sn, t, tn = (torch.randn(1, 2, 64, 3) for _ in range(4))
+    c, pull, place = torch.zeros(1, 2, 64), torch.zeros(1, 2, 64, 8), torch.rand(1, 2, 10)
+    place[0, 1, -1] = 0.0
+    other_own, other_neighbour = t.clone(), t.clone()
+    other_own[0, 1], other_neighbour[0, 0] = torch.randn(64, 3), torch.randn(64, 3)
+    hidden = network(s, sn, t, tn, c, pull, place)[0][0, 1]
+    assert torch.equal(network(s, sn, other_own, tn, c, pull, place)[0][0, 1], hidden)
+    assert not torch.allclose(network(s, sn, other_neighbour, tn, c, pull, place)[0][0, 1], hidden)
 
 
 def test_paper_network_answers_with_a_set_that_forgets_the_order_of_its_source():

@@ -39,6 +39,17 @@ def completion(
             [(name, *_figures(row)) for name, row in figures.items()],
             title=str(category),
         )
+    paired = report["paired"]
+    assert isinstance(paired, Mapping)
+    gains = [
+        (category, name, *_gain(figures))
+        for category, methods_of in paired.items()
+        for name, figures in methods_of.items()
+        if figures["pairs"]
+    ]
+    if gains:
+        headings = ("class", "method", "gain, mm", "95 % interval", "gain", "views won")
+        table(headings, gains, title="against the same fit undeformed", words=2)
     save_json(json_file, report)
 
 
@@ -88,6 +99,12 @@ def _fit_figures(row: Mapping) -> tuple[str, ...]:
     degrees, millimetres = (text("axis_deg", ".1f"), text("yaw_deg", ".1f")), text("offset_m", ".1f", 1000)
     rest = (text("size", ".1%"), text("cd_m", ".1f", 1000), text("wrong_rest", ".0%"), text("ms", ".0f"))
     return (*degrees, millimetres, *rest, f"{row['failed']} of {row['views']}")
+
+
+def _gain(paired: Mapping) -> tuple[str, ...]:
+    low, high = (1000 * end for end in paired["ci95_m"])
+    interval = f"{low:.3f} to {high:.3f}"
+    return f"{1000 * paired['gain_m']:.3f}", interval, f"{paired['gain_share']:.1%}", f"{paired['wins']:.0%}"
 
 
 def _figures(row: Mapping) -> tuple[str, ...]:

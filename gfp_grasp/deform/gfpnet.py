@@ -1,16 +1,19 @@
 """GFPNet: networks that deform a patch S of a fitted primitive onto template points T.
 
-Letters: b patches, n source points, m template points, c channels.
+Letters: o objects, p patches of one, b patches, n source points, m template points, c channels.
 
 `PatchNet` is the default: it decodes every source point with the pooled codes of both branches into an offset, so
-permuting S permutes its answer. `PaperNet` is the network of Cocias, Razvant and Grigorescu, "GFPNet: A Deep Network
-for Learning Shape Completion in Generic Fitted Primitives" (RA-L 2020), sec. III: its decoder sees pooled codes only,
-so the rows of its answer are a set of points with no tie to the rows of S.
+permuting S permutes its answer; and the patches of one object tell each other what they saw, so that a patch on the
+hidden side knows how the seen side differs from the fit. `PaperNet` is the network of Cocias, Razvant and Grigorescu,
+"GFPNet: A Deep Network for Learning Shape Completion in Generic Fitted Primitives" (RA-L 2020), sec. III: it sees one
+patch, and its decoder sees pooled codes only, so the rows of its answer are a set of points with no tie to the rows
+of S.
 """
 
 from __future__ import annotations
 
 import json
+import math
 from functools import lru_cache
 from typing import Literal
 
@@ -19,54 +22,72 @@ from safetensors.torch import load_file
 from torch import Tensor, nn
 
 from gfp_grasp.assets import data_file
+from gfp_grasp.deform.patches import PULL_M, UNIT_M
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.register.pcrnet import mlp
 
-NEAREST = 4  # template points whose offsets enter with each source point
+PULL = 8  # numbers that say where template points want a source point
+PLACE = 10  # numbers that say where a patch is
+_STEP = PULL_M / UNIT_M  # unit of the answer: a network is slow to learn numbers far smaller than its others
 
 Variant = Literal["patch", "paper-iterative", "paper-oneshot"]
 
 
 class PatchNet(nn.Module):
-    """Offset and log standard deviation of every source point."""
+    """Offset and log standard deviation of every source point of every patch of an object."""
 
-    def __init__(self, width: int = 128) -> None:
+    def __init__(self, width: int = 128, *, layers: int = 2) -> None:
         super().__init__()
-        self.source = mlp(6 + NEAREST * 7, width, width)
-        self.template = mlp(7, width // 2, width, 2 * width)
-        self.context = mlp(4 * width, 2 * width, width)
-        last = nn.Linear(width, 4)
+        self.source = mlp(6 + PULL, width, width)
+        self.template = mlp(7, width // 2, width, width)
+        self.place = mlp(PLACE, width, width)
+        self.code = nn.Linear(3 * width, width)
+        block = nn.TransformerEncoderLayer(
+            width, 4, 2 * width, dropout=0.0, activation="gelu", batch_first=True, norm_first=True
+        )
+        self.exchange = nn.TransformerEncoder(block, layers, enable_nested_tensor=False)
+        last = nn.Linear(width, 5)
         self.decode = nn.Sequential(mlp(2 * width, width, width), last)
         nn.init.zeros_(last.weight)
         with torch.no_grad():
-            last.bias.copy_(torch.tensor([0.0, 0.0, 0.0, -2.5]))
+            last.bias.copy_(torch.tensor([0.0, 0.0, 0.0, 0.0, -0.5]))
 
     def forward(
-        self, source: Tensor, source_normals: Tensor, template: Tensor, template_normals: Tensor, carried: Tensor
+        self,
+        source: Tensor,
+        source_normals: Tensor,
+        template: Tensor,
+        template_normals: Tensor,
+        carried: Tensor,
+        pull: Tensor,
+        place: Tensor,
     ) -> tuple[Tensor, Tensor]:
-        """Deform patches.
+        """Deform all patches of some objects.
 
         Args:
-            source: (b, n, 3), patch frame and unit.
-            source_normals: (b, n, 3).
-            template: (b, m, 3).
-            template_normals: (b, m, 3).
-            carried: (b, m), 1 where symmetry brought the point.
+            source: (o, p, n, 3), patch frame and unit.
+            source_normals: (o, p, n, 3).
+            template: (o, p, m, 3); of no effect where the patch sees nothing.
+            template_normals: (o, p, m, 3).
+            carried: (o, p, m), 1 where symmetry brought the point.
+            pull: (o, p, n, c) as in `Patches`.
+            place: (o, p, c) as in `Patches`; its last channel is the share of template points that the patch sees.
 
         Returns:
-            Offsets (b, n, 3) and the logarithm of their standard deviation (b, n), same unit.
+            Offsets (o, p, n, 3) and the logarithm of their standard deviation (o, p, n), same unit.
         """
-        t = torch.cat([template, template_normals, carried[..., None]], dim=-1)
-        near = _agreeing_nearest(source, source_normals, template, template_normals)
-        b, n, k = near.shape
-        picked = torch.gather(t[:, None].expand(b, n, *t.shape[1:]), 2, near[..., None].expand(b, n, k, 7))
-        offsets = torch.cat([picked[..., :3] - source[:, :, None], picked[..., 3:]], dim=-1)
-        s = self.source(torch.cat([source, source_normals, offsets.flatten(2)], dim=-1))
-        pooled_t = self.template(t).amax(dim=1)
-        pooled_s = torch.cat([s.amax(dim=1), s.mean(dim=1)], dim=-1)
-        context = self.context(torch.cat([pooled_s, pooled_t], dim=-1))
-        out = self.decode(torch.cat([s, context[:, None].expand(-1, n, -1)], dim=-1))
-        return out[..., :3], out[..., 3]
+        o, p, n, _ = source.shape
+        sees = (place[..., -1] > 0).flatten()[:, None]
+        s = self.source(torch.cat([source, source_normals, pull], dim=-1).flatten(0, 1))
+        t = self.template(torch.cat([template, template_normals, carried[..., None]], dim=-1).flatten(0, 1))
+        pooled_t = torch.where(sees, t.amax(dim=1), 0.0)
+        # The mean, not the largest, of the source: it is the same for any number of points.
+        own = torch.cat([s.mean(dim=1), pooled_t], dim=-1).view(o, p, -1)
+        code = self.exchange(self.code(torch.cat([own, self.place(place)], dim=-1))).flatten(0, 1)
+        out = self.decode(torch.cat([s, code[:, None].expand(-1, n, -1)], dim=-1)).float().view(o, p, n, 5)
+        # Most of it is along the normal, which need not be learnt for every direction anew.
+        offset = out[..., :3] + out[..., 3:4] * source_normals
+        return _STEP * offset, out[..., 4] + math.log(_STEP)
 
 
 class PaperNet(nn.Module):
@@ -131,11 +152,3 @@ def load_network(variant: Variant) -> nn.Module:
 def load_card(variant: Variant) -> dict[str, object]:
     """How the shipped weights came to be: command, seed, data, hours, metrics, sha256."""
     return json.loads(data_file("weights", f"{WEIGHTS[variant]}.json").read_text())
-
-
-def _agreeing_nearest(source: Tensor, source_normals: Tensor, template: Tensor, template_normals: Tensor) -> Tensor:
-    """Indices (b, n, k) of the template points nearest in position and normal."""
-    s = torch.cat([source, source_normals], dim=-1)
-    t = torch.cat([template, template_normals], dim=-1)
-    distance = (s * s).sum(-1)[:, :, None] - 2 * s @ t.transpose(1, 2) + (t * t).sum(-1)[:, None]
-    return distance.topk(NEAREST, dim=-1, largest=False, sorted=True).indices

@@ -13,7 +13,7 @@ from gfp_grasp.deform.patches import UNIT_M, Patches, blend, make_patches
 from gfp_grasp.deform.settle import damp_until_solid, diffuse
 from gfp_grasp.deform.template import template_points
 from gfp_grasp.errors import InvalidOption
-from gfp_grasp.transforms import apply_T
+from gfp_grasp.transforms import apply_T, invert_T
 from gfp_grasp.types import Detection, FittedPrimitive
 
 METHODS = ("gfpnet", "gfpnet-paper", "gfpnet-oneshot", "gfs", "none")
@@ -81,14 +81,17 @@ def deform(fit: FittedPrimitive, detection: Detection, *, config: DeformConfig =
             evolve(vertices, primitive.faces, template.points, template.normals, config=config.snake) - vertices
         )
     else:
-        patches = make_patches(primitive, vertices, template)
-        if len(patches.index) == 0:
-            return Deformed(fit.vertices_world(), unknown, 1.0)
+        viewpoint = detection.cloud.viewpoint
+        here = None if viewpoint is None else apply_T(invert_T(fit.T_world_object), viewpoint)
+        patches = make_patches(primitive, vertices, template, here)
         if config.method == "gfpnet":
             offsets, log_sigma = _per_point(patches)
             displacement, weight = blend(patches, offsets, len(vertices))
             sigma = _blend_sigma(patches, log_sigma, len(vertices))
         else:
+            patches = patches.seeing()
+            if len(patches.index) == 0:
+                return Deformed(fit.vertices_world(), unknown, 1.0)
             offsets = _pulled(patches, _paper(patches, config))
             displacement, weight = blend(patches, offsets, len(vertices))
         displacement = diffuse(primitive, displacement, np.minimum(weight, 1.0))
@@ -104,8 +107,8 @@ def _per_point(patches: Patches) -> tuple[np.ndarray, np.ndarray]:
 
     network = load_network("patch")
     with torch.inference_mode():
-        offsets, log_sigma = network(*patch_tensors(patches))
-    return offsets.double().numpy(), log_sigma.double().numpy()
+        offsets, log_sigma = network(*(part[None] for part in patch_tensors(patches)))
+    return offsets[0].double().numpy(), log_sigma[0].double().numpy()
 
 
 def _paper(patches: Patches, config: DeformConfig) -> np.ndarray:
@@ -115,17 +118,18 @@ def _paper(patches: Patches, config: DeformConfig) -> np.ndarray:
     from gfp_grasp.deform.gfpnet import load_network
 
     network = load_network("paper-iterative" if config.method == "gfpnet-paper" else "paper-oneshot")
-    source, _, template, _, _ = patch_tensors(patches)
+    source, _, template, *_ = patch_tensors(patches)
     iterations = config.iterations if config.method == "gfpnet-paper" else None
     with torch.inference_mode():
         return network(source, template, iterations=iterations).double().numpy()
 
 
 def patch_tensors(patches: Patches):
-    """Float32 tensors (source, source_normals, template, template_normals, carried) of patches."""
+    """Float32 tensors (source, source_normals, template, template_normals, carried, pull, place) of patches."""
     import torch
 
-    arrays = (patches.source, patches.source_normals, patches.template, patches.template_normals, patches.carried)
+    p = patches
+    arrays = (p.source, p.source_normals, p.template, p.template_normals, p.carried, p.pull, p.place)
     return tuple(torch.tensor(a, dtype=torch.float32) for a in arrays)
 
 

@@ -72,8 +72,13 @@ def resample(
             low = count
         else:
             high = count - 1
-    carry, thin = _carrier(shapes[0], faces, *_after(history, low, faces, len(shapes[0])))
-    return carry, thin, float(_distances(shapes[0], faces, carry @ shapes[0], thin, rng, _MANY).max())
+    while True:
+        carry, thin = _carrier(shapes[0], faces, *_after(history, low, faces, len(shapes[0])))
+        error = float(_distances(shapes[0], faces, carry @ shapes[0], thin, rng, _MANY).max())
+        # Measured on other samples than in the search: what is reported has to hold as well.
+        if error <= config.max_error_m or low == 0:
+            return carry, thin, error
+        low = max(0, low - max(1, len(history) // 100))
 
 
 def _collapse_all(shapes: np.ndarray, faces: np.ndarray, limit: float) -> list[tuple[int, int]]:

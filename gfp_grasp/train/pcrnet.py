@@ -1,8 +1,11 @@
-"""Training of PCRNet on the starts that registration really has, for views of procedural shapes."""
+"""Training of PCRNet on the starts that registration really has, for views of procedural shapes.
+
+Pairs are seen as a completion sees them: z up and x towards the viewer.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 
@@ -11,18 +14,20 @@ import torch
 from torch import Tensor, nn
 
 from gfp_grasp.assets import data_dir
+from gfp_grasp.observation import canonical_frame
 from gfp_grasp.primitives import load_primitive
 from gfp_grasp.register.evidence import gather_evidence
 from gfp_grasp.register.modes import PoseShape
-from gfp_grasp.register.pcrnet import PCRNet, network_input
+from gfp_grasp.register.pcrnet import PCRNet, network_input, rotation_of
 from gfp_grasp.register.starts import starts
 from gfp_grasp.shapes import FAMILIES
 from gfp_grasp.train.loop import Batch, LoopConfig, shuffled, train, write_weights
-from gfp_grasp.train.views import View, cached_views
-from gfp_grasp.transforms import rotation_about, rotation_between
+from gfp_grasp.train.views import cached_views
+from gfp_grasp.transforms import invert_T, rotation_about, rotation_between
+from gfp_grasp.types import GenericPrimitive
 
-DEFAULT = LoopConfig(steps=1500, batch=32, rate=1e-3)
-_MAX_YAW_RAD = np.deg2rad(50)
+DEFAULT = LoopConfig(steps=2500, batch=32, rate=1e-3, decay=0.7)
+_MAX_TURN_RAD = np.deg2rad(50)
 
 
 def train_pcrnet(
@@ -51,7 +56,7 @@ def train_pcrnet(
     data = _samples("train", num_views, limit, runs, np.random.default_rng(config.seed), copies=2)
     network, hours = train(
         PCRNet(),
-        shuffled(data, config.batch),
+        augmented(shuffled(data, config.batch)),
         _loss,
         config=config,
         checkpoint=runs / "pcrnet" / "checkpoint.pt",
@@ -69,6 +74,25 @@ def train_pcrnet(
     )
 
 
+def augmented(stream: Callable[[torch.Generator], Iterator[Batch]]) -> Callable[[torch.Generator], Iterator[Batch]]:
+    """Pairs mirrored left to right, and templates moved a little more, the truth along with them."""
+
+    def batches(generator: torch.Generator) -> Iterator[Batch]:
+        for template, cloud, R, t, radius in stream(generator):
+            b = len(template)
+            sign = torch.ones(b, 1, 3)
+            sign[:, 0, 1] = (torch.randint(0, 2, (b,), generator=generator) * 2 - 1).float()
+            R = sign.transpose(1, 2) * R * sign
+            quaternion = torch.cat([torch.ones(b, 1), 0.05 * torch.randn(b, 3, generator=generator)], dim=1)
+            turn, step = rotation_of(quaternion), 0.1 * torch.randn(b, 3, generator=generator)
+            # template' = turn template + step, so R' = R turn^T and t' = t - R' step.
+            R = R @ turn.transpose(1, 2)
+            t = t * sign[:, 0] - (R @ step[..., None])[..., 0]
+            yield (template * sign) @ turn.transpose(1, 2) + step[:, None], cloud * sign, R, t, radius
+
+    return batches
+
+
 def _samples(
     split: str, num_views: int, limit: int | None, runs: Path, rng: np.random.Generator, *, copies: int
 ) -> Batch:
@@ -77,29 +101,32 @@ def _samples(
     for family in FAMILIES:
         primitive = load_primitive(family)
         for view in cached_views(family, split, num_views=num_views, limit=limit, folder=runs / "views"):
-            evidence = gather_evidence(view.detection())
-            near = [s for s in starts(primitive, evidence, (view.resting,)) if _turn(s, view, primitive) < _MAX_YAW_RAD]
+            detection, T_world_here = canonical_frame(view.detection())
+            T_here_object = invert_T(T_world_here) @ view.T_world_object
+            evidence = gather_evidence(detection)
+            near = [s for s in starts(primitive, evidence, (view.resting,)) if _is_near(s, T_here_object, primitive)]
             for _ in range(copies if near else 0):
                 state = _jittered(near[int(rng.integers(len(near)))], rng)
                 template, cloud, centre, radius = network_input(state, primitive, evidence.points)
-                R, t = _truth(state, view, primitive)
+                R, t = _truth(state, T_here_object, primitive)
                 # About the centre, in units of the radius: x -> R (x - c) + (R c + t - c), as the network moves it.
                 rows.append((template, cloud, R, (R @ centre + t - centre) / radius, radius))
     columns = zip(*rows, strict=True)
     return tuple(torch.tensor(np.array(column), dtype=torch.float32) for column in columns)
 
 
-def _truth(state: PoseShape, view: View, primitive) -> tuple[np.ndarray, np.ndarray]:
-    """Rigid motion (R, t) of the world that brings the start onto the true pose, as far as symmetry lets it show."""
-    R_true, t_true = view.T_world_object[:3, :3], view.T_world_object[:3, 3]
+def _truth(state: PoseShape, T_here_object: np.ndarray, primitive: GenericPrimitive) -> tuple[np.ndarray, np.ndarray]:
+    """Rigid motion (R, t) that brings the start onto the true pose, as far as symmetry lets it show."""
+    R_true, t_true = T_here_object[:3, :3], T_here_object[:3, 3]
     symmetric = np.isinf(primitive.symmetry.order)
     R = rotation_between(state.R[:, 2], R_true[:, 2]) if symmetric else R_true @ state.R.T
     return R, t_true - R @ state.t
 
 
-def _turn(state: PoseShape, view: View, primitive) -> float:
-    R, _ = _truth(state, view, primitive)
-    return float(np.arccos(np.clip((np.trace(R) - 1) / 2, -1, 1)))
+def _is_near(state: PoseShape, T_here_object: np.ndarray, primitive: GenericPrimitive) -> bool:
+    """Whether the start is within the turn that the network is asked to correct."""
+    R, _ = _truth(state, T_here_object, primitive)
+    return float(np.arccos(np.clip((np.trace(R) - 1) / 2, -1, 1))) < _MAX_TURN_RAD
 
 
 def _jittered(state: PoseShape, rng: np.random.Generator) -> PoseShape:

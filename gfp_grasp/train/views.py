@@ -1,10 +1,11 @@
 """Rendered partial views of procedural shapes: what every network of the package learns from.
 
-`python -m gfp_grasp.train.views --split train --views 4` fills a cache that later calls read; it resumes.
+`cached_views` fills a cache that later calls read; a run that was stopped goes on where it was.
 """
 
 from __future__ import annotations
 
+import os
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
@@ -140,7 +141,7 @@ def _load_or_render(job: tuple[str, int], *, num_views: int, folder: Path, confi
             ]
     views = render_views(family, seed, num_views=num_views, config=config)
     path.parent.mkdir(parents=True, exist_ok=True)
-    partial_path = path.with_suffix(".tmp.npz")
+    partial_path = path.with_suffix(f".{os.getpid()}.npz")
     np.savez_compressed(
         partial_path,
         count=np.array([len(v.points) for v in views]),

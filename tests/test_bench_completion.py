@@ -1,0 +1,45 @@
+"""The bench of completions measures what it says."""
+
+import pytest
+
+from gfp_grasp.bench.completion import CompletionBench, _paired, bench_completion
+from gfp_grasp.errors import InvalidOption
+
+
+def test_bench_measures_every_method_on_every_view_and_pairs_them_with_the_undeformed_fit():
+    methods = ("partial", "registration", "gfs")
+    report = bench_completion("bottle", methods=methods, config=CompletionBench(views=2, limit=1))
+    assert set(report["rows"]) == {"bottle", "all"}
+    for method in methods:
+        row = report["rows"]["bottle"][method]
+        assert row["views"] == 2
+        assert row["failed"] == 0
+        assert 0.001 < row["cd_m"] < 0.03
+    assert report["rows"]["all"]["registration"]["cd_m"] < report["rows"]["all"]["partial"]["cd_m"]
+    assert report["paired"]["all"]["gfs"]["pairs"] == 2
+
+
+def test_pairs_tell_gain_interval_and_wins():
+    def row(name: str, view: int, method: str, cd_m: float | None) -> dict:
+        return {"object": name, "view": view, "method": method, "cd_m": cd_m}
+
+    rows = [
+        row("a", 0, "registration", 0.004),
+        row("a", 0, "gfpnet", 0.003),
+        row("a", 1, "registration", 0.004),
+        row("a", 1, "gfpnet", 0.005),
+        row("b", 0, "registration", 0.006),
+        row("b", 0, "gfpnet", 0.004),
+        row("b", 1, "registration", 0.006),
+        row("b", 1, "gfpnet", 0.004),
+    ]
+    paired = _paired(rows, "gfpnet")
+    assert paired["gain_m"] == pytest.approx(0.001)
+    assert paired["gain_share"] == pytest.approx(0.2)
+    assert paired["wins"] == 0.75
+    assert paired["ci95_m"] == pytest.approx([0.0, 0.002])  # two objects: the mean of either alone
+
+
+def test_bench_of_an_unknown_method_is_refused():
+    with pytest.raises(InvalidOption, match="registration"):
+        bench_completion("cup", methods=("magic",))
