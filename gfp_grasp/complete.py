@@ -15,12 +15,20 @@ from threadpoolctl import threadpool_limits
 
 from gfp_grasp.completion import Completion
 from gfp_grasp.deform import DeformConfig, deform
-from gfp_grasp.detect import clean_cloud, detect_objects, detect_single
-from gfp_grasp.errors import FitDiverged, InvalidCloud, InvalidOption, UnknownCategory
+from gfp_grasp.detect import clean_cloud, detect_objects, detect_single, numbers_of
+from gfp_grasp.errors import FitDiverged, InvalidCloud, InvalidOption, InvalidView, UnknownCategory
 from gfp_grasp.meshes import crossing_faces
-from gfp_grasp.observation import canonical_frame, mark_observed, order_points
+from gfp_grasp.observation import (
+    canonical_frame,
+    level_frame,
+    mark_observed,
+    move_detection,
+    move_view,
+    order_points,
+)
 from gfp_grasp.primitives import list_primitives, load_primitive
 from gfp_grasp.register import FitConfig, fit_evidence, gather_evidence, handle_is_seen
+from gfp_grasp.transforms import apply_T, invert_T
 from gfp_grasp.types import (
     CompletedShape,
     DepthImage,
@@ -34,6 +42,7 @@ if TYPE_CHECKING:
 
 # Below this the best class is an opinion, not a finding.
 _SURE_SCORE = 0.5
+_FARTHEST_M = 1e12  # from any origin: beyond it metres have no decimals and squares overflow
 
 
 @dataclass(frozen=True)
@@ -76,7 +85,7 @@ def complete_to_mesh(
 
     Args:
         cloud: (n, 3) array-like, m; also a trimesh or Open3D point cloud, or a torch tensor. Non-finite rows are
-            dropped and counted in a warning.
+            dropped and counted in a warning, copies of a point count once.
         viewpoint: (3,) m, where the camera stood, same frame. Without it normals have no sign and nothing is known of
             free space, and the answer is less sure.
         up: (3,) normal of the support; None estimates it, from the plane under the object or else from the axes of
@@ -92,24 +101,23 @@ def complete_to_mesh(
         The completion, in the frame of the cloud, m.
 
     Raises:
-        InvalidCloud: Not an (n, 3) cloud in metres, or degenerate.
+        InvalidCloud: Not an (n, 3) cloud in metres, or degenerate; viewpoint or up is no place or direction.
         TooFewPoints: Too few finite points.
-        InvalidView: View and mask do not fit each other.
+        NothingDetected: Nothing stands above the support.
+        InvalidView: View, mask and cloud do not fit each other.
+        InvalidOption: Height, seed or config of the wrong type.
         UnknownCategory: No primitive of that class; the message lists those on offer.
         FitDiverged: No primitive could be fitted.
     """
+    _check_options(config, seed)
     _check_category(category)
+    if view is not None and not isinstance(view, DepthImage):
+        raise InvalidView(f"view is a {type(view).__name__}; a gfp_grasp.types.DepthImage is expected")
+    place, direction = _checked_place(viewpoint), _checked_direction(up)
+    height = _checked_height(support_height)
     start = time.perf_counter()
     points = order_points(clean_cloud(cloud), seed=seed)
-    detection = detect_single(
-        points,
-        viewpoint=_checked_vector(viewpoint, "viewpoint"),
-        up=_checked_vector(up, "up", direction=True),
-        support_height=support_height,
-        view=view,
-        mask=mask,
-        category=category,
-    )
+    detection = _detect(points, place, direction, height, view, mask, category)
     completion = complete_detection(detection, config=config, seed=seed)
     timings = {"detect": time.perf_counter() - start - sum(completion.timings_s.values()), **completion.timings_s}
     return replace(completion, shape=replace(completion.shape, timings_s=timings))
@@ -131,9 +139,13 @@ def complete_scene(
 
     Raises:
         NothingDetected: No object stands out from the support.
+        InvalidView: Not a DepthImage.
     """
+    _check_options(config, seed)
+    if not isinstance(image, DepthImage):
+        raise InvalidView(f"image is a {type(image).__name__}; a gfp_grasp.types.DepthImage is expected")
     done = []
-    for detection in detect_objects(image, up=_checked_vector(up, "up", direction=True)):
+    for detection in detect_objects(image, up=_checked_direction(up)):
         try:
             done.append(complete_detection(detection, config=config, seed=seed))
         except FitDiverged as error:
@@ -160,6 +172,34 @@ def complete_detection(detection: Detection, *, config: CompleteConfig | None = 
     # The matrices are small: more threads of linear algebra than one wait for each other, on busy cores for seconds.
     with threadpool_limits(limits=1):
         return _complete(detection, config, seed)
+
+
+def _detect(
+    points: np.ndarray,
+    viewpoint: np.ndarray | None,
+    up: np.ndarray | None,
+    support_height: float | None,
+    view: DepthImage | None,
+    mask: np.ndarray | None,
+    category: str | None,
+) -> Detection:
+    """The object of the points, looked for in their level frame, where grids do not depend on the caller's axes."""
+    if viewpoint is None and view is not None:
+        viewpoint = view.T_world_camera[:3, 3]
+    if up is None:
+        return detect_single(points, viewpoint=viewpoint, up=None, support_height=support_height, view=view, mask=mask,
+                             category=category)  # fmt: skip
+    T_world_level = level_frame(points, up, viewpoint)
+    T_level_world = invert_T(T_world_level)
+    found = detect_single(
+        order_points(apply_T(T_level_world, points)),
+        viewpoint=None if viewpoint is None else apply_T(T_level_world, viewpoint),
+        support_height=None if support_height is None else support_height - float(up @ T_world_level[:3, 3]),
+        view=None if view is None else move_view(view, T_level_world),
+        mask=mask,
+        category=category,
+    )
+    return replace(move_detection(found, T_world_level), view=view)
 
 
 def _complete(detection: Detection, config: CompleteConfig, seed: int) -> Completion:
@@ -235,20 +275,51 @@ def _check_category(category: str | None) -> None:
         raise UnknownCategory(f"there is no primitive of {category!r}; there are {', '.join(list_primitives())}")
 
 
-def _checked_vector(value: ArrayLike | None, name: str, *, direction: bool = False) -> np.ndarray | None:
+def _check_options(config: object, seed: object) -> None:
+    if config is not None and not isinstance(config, CompleteConfig):
+        raise InvalidOption(f"config is a {type(config).__name__}; a CompleteConfig is expected")
+    if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
+        raise InvalidOption(f"seed is {seed!r}; a whole number from 0 on is expected")
+
+
+def _checked_vector(value: object, name: str) -> np.ndarray | None:
+    if value is None:
+        return None
+    vector = numbers_of(value, name)
+    if vector.shape != (3,) or not np.isfinite(vector).all():
+        came = vector.tolist() if vector.size < 9 else f"an array of shape {vector.shape}"
+        raise InvalidCloud(f"{name} is {came}; three finite numbers are expected")
+    return vector
+
+
+def _checked_place(viewpoint: object) -> np.ndarray | None:
+    vector = _checked_vector(viewpoint, "viewpoint")
+    if vector is not None and np.abs(vector).max() > _FARTHEST_M:
+        raise InvalidCloud(f"viewpoint is {vector.tolist()}: metres in the frame of the cloud are expected")
+    return vector
+
+
+def _checked_direction(up: object) -> np.ndarray | None:
+    vector = _checked_vector(up, "up")
+    if vector is None:
+        return None
+    longest = np.abs(vector).max()
+    if longest < 1e-9:
+        raise InvalidCloud("up has no length: give the direction that is up, e.g. (0, 0, 1), or None to estimate it")
+    vector = vector / longest  # first, so that no square overflows
+    return vector / np.linalg.norm(vector)
+
+
+def _checked_height(value: object) -> float | None:
     if value is None:
         return None
     try:
-        vector = np.asarray(value, dtype=np.float64)
-    except (TypeError, ValueError) as error:
-        raise InvalidCloud(f"{name} is {value!r}; three numbers are expected") from error
-    if vector.shape != (3,) or not np.isfinite(vector).all():
-        raise InvalidCloud(f"{name} is {value!r}; three finite numbers are expected")
-    if direction and np.linalg.norm(vector) < 1e-9:
-        raise InvalidCloud(
-            f"{name} has no length: give the direction that is up, e.g. (0, 0, 1), or None to estimate it"
-        )
-    return vector
+        height = float(value)  # type: ignore[arg-type]
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise InvalidOption(f"support_height is {value!r}; a number in metres is expected") from error
+    if not np.isfinite(height):
+        raise InvalidOption(f"support_height is {height}; a finite number in metres, or None, is expected")
+    return height
 
 
 class _Clock:

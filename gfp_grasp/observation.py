@@ -19,50 +19,68 @@ _LIFT_M = 0.0005  # a ray starts this far off its own surface
 
 
 def order_points(points: np.ndarray, *, seed: int = 0) -> np.ndarray:
-    """Points (n, 3) in an order, and thinned to a number, that do not depend on the order they came in.
+    """Points (n, 3), each once, in an order and thinned to a number that do not depend on how they came in.
 
     A point is kept by a hash of its own coordinates, so the choice is the same for every permutation.
     """
     if len(points) > MAX_POINTS:
-        bits = np.ascontiguousarray(points + 0.0).view(np.uint64)
-        # splitmix64's constants; the seed moves the stream.
-        state = np.uint64(seed % 2**63) * np.uint64(0x9E3779B97F4A7C15)
-        with np.errstate(over="ignore"):
-            mixed = state + bits[:, 0] * np.uint64(0xBF58476D1CE4E5B9)
-            mixed ^= mixed >> np.uint64(31)
-            mixed = (mixed + bits[:, 1]) * np.uint64(0x94D049BB133111EB)
-            mixed ^= mixed >> np.uint64(29)
-            mixed = (mixed + bits[:, 2]) * np.uint64(0xBF58476D1CE4E5B9)
-            mixed ^= mixed >> np.uint64(32)
-        points = points[mixed < np.uint64(int(MAX_POINTS / len(points) * 2**64))]
-    return points[np.lexsort((points[:, 2], points[:, 1], points[:, 0]))]
+        points = _thinned(points, seed)
+    points = points[np.lexsort((points[:, 2], points[:, 1], points[:, 0]))]
+    return points[np.append(True, (points[1:] != points[:-1]).any(axis=1))]
+
+
+def distinct_points(points: np.ndarray) -> np.ndarray:
+    """Each of (n, 3) points once, in the order of first appearance."""
+    first = np.unique(_hashes(points, 0), return_index=True)[1]
+    return points if len(first) == len(points) else points[np.sort(first)]
+
+
+def level_frame(points: np.ndarray, up: np.ndarray, viewpoint: np.ndarray | None) -> np.ndarray:
+    """T_world_level (4, 4): z up, origin at the points' centre, x towards the viewer.
+
+    Without a viewpoint x is the horizontal direction in which the points are spread least.
+    """
+    up = up / np.linalg.norm(up)
+    origin = points.mean(axis=0)
+    x = _horizontal(points - origin, None if viewpoint is None else viewpoint - origin, up)
+    return make_T(np.column_stack([x, np.cross(up, x), up]), origin)
 
 
 def canonical_frame(detection: Detection, *, seed: int = 0) -> tuple[Detection, np.ndarray]:
-    """The same detection in a frame tied to it: z up, origin at the points' centre, x towards the viewer.
+    """The same detection in the level frame of its points.
 
     Returns:
-        The detection, and T_world_canonical (4, 4). Without a viewpoint x is the horizontal direction in which the
-        points are spread least.
+        The detection, and T_world_canonical (4, 4).
     """
     points = order_points(detection.cloud.points, seed=seed)
-    up = detection.up / np.linalg.norm(detection.up)
-    origin = points.mean(axis=0)
-    x = _horizontal(detection, points - origin, up)
-    T = make_T(np.column_stack([x, np.cross(up, x), up]), origin)
-    back = invert_T(T)
-    viewpoint, view, support = detection.cloud.viewpoint, detection.view, detection.support
-    moved = replace(
+    T = level_frame(points, detection.up, detection.cloud.viewpoint)
+    detection = replace(detection, cloud=PointCloud(points, detection.cloud.viewpoint))
+    return move_detection(detection, invert_T(T)), T
+
+
+def move_detection(detection: Detection, T: np.ndarray) -> Detection:
+    """The detection in another frame, T_new_old (4, 4); its points are ordered there."""
+    viewpoint, view = detection.cloud.viewpoint, detection.view
+    points = order_points(apply_T(T, detection.cloud.points))
+    return replace(
         detection,
-        cloud=PointCloud(apply_T(back, points), None if viewpoint is None else apply_T(back, viewpoint)),
-        up=np.array([0.0, 0.0, 1.0]),
-        support=None
-        if support is None
-        else SupportPlane(support.normal @ T[:3, :3], support.height_m - float(support.normal @ origin)),
-        box=OrientedBox(back @ detection.box.T_world_box, detection.box.extents),
-        view=None if view is None else DepthImage(view.depth_m, view.K, back @ view.T_world_camera),
+        cloud=PointCloud(points, None if viewpoint is None else apply_T(T, viewpoint)),
+        up=T[:3, :3] @ detection.up,
+        support=None if detection.support is None else move_support(detection.support, T),
+        box=OrientedBox(T @ detection.box.T_world_box, detection.box.extents),
+        view=None if view is None else move_view(view, T),
     )
-    return moved, T
+
+
+def move_support(support: SupportPlane, T: np.ndarray) -> SupportPlane:
+    """The plane in another frame, T_new_old (4, 4)."""
+    normal = T[:3, :3] @ support.normal
+    return SupportPlane(normal, support.height_m + float(normal @ T[:3, 3]))
+
+
+def move_view(view: DepthImage, T: np.ndarray) -> DepthImage:
+    """The picture with its camera's pose in another frame, T_new_old (4, 4)."""
+    return DepthImage(view.depth_m, view.K, T @ view.T_world_camera)
 
 
 def mark_observed(
@@ -101,13 +119,43 @@ def _in_sight(vertices: np.ndarray, faces: np.ndarray, viewpoint: np.ndarray) ->
     return facing & ~np.isfinite(hit)
 
 
-def _horizontal(detection: Detection, centred: np.ndarray, up: np.ndarray) -> np.ndarray:
+def _horizontal(centred: np.ndarray, sight: np.ndarray | None, up: np.ndarray) -> np.ndarray:
     flat = np.eye(3) - np.outer(up, up)
-    if detection.cloud.viewpoint is not None:
-        x = flat @ (detection.cloud.viewpoint - detection.cloud.points.mean(axis=0))
+    if sight is not None:
+        x = flat @ sight
         if np.linalg.norm(x) > 1e-3:
             return x / np.linalg.norm(x)
-    values, vectors = np.linalg.eigh((centred @ flat).T @ (centred @ flat) + 1e3 * np.outer(up, up) * len(centred))
-    del values
+    _, vectors = np.linalg.eigh((centred @ flat).T @ (centred @ flat) + 1e3 * np.outer(up, up) * len(centred))
     x = vectors[:, 0]
+    # The sign of an eigenvector is no property of the points: the side with the longer tail is.
+    x = x * (np.sign(((centred @ x) ** 3).sum()) or 1.0)
     return x / np.linalg.norm(x)
+
+
+def _thinned(points: np.ndarray, seed: int) -> np.ndarray:
+    hashes = _hashes(points, seed)
+    kept = points[hashes < _share(len(points))]
+    if len(distinct_points(kept)) > 0.5 * MAX_POINTS:
+        return kept
+    hashes, first = np.unique(hashes, return_index=True)  # many are copies, which a hash keeps or drops together
+    return points[first[hashes < _share(len(first))]]
+
+
+def _share(count: int) -> np.uint64:
+    """The hash below which MAX_POINTS of so many points lie, more or less."""
+    return np.uint64(min(int(MAX_POINTS / count * 2**64), 2**64 - 1))
+
+
+def _hashes(points: np.ndarray, seed: int) -> np.ndarray:
+    """(n,) uint64 of the coordinates alone."""
+    bits = np.ascontiguousarray(points + 0.0).view(np.uint64)
+    # splitmix64's constants; the seed moves the stream.
+    state = np.uint64(seed % 2**63) * np.uint64(0x9E3779B97F4A7C15)
+    with np.errstate(over="ignore"):
+        mixed = state + bits[:, 0] * np.uint64(0xBF58476D1CE4E5B9)
+        mixed ^= mixed >> np.uint64(31)
+        mixed = (mixed + bits[:, 1]) * np.uint64(0x94D049BB133111EB)
+        mixed ^= mixed >> np.uint64(29)
+        mixed = (mixed + bits[:, 2]) * np.uint64(0xBF58476D1CE4E5B9)
+        mixed ^= mixed >> np.uint64(32)
+    return mixed

@@ -18,6 +18,8 @@ from gfp_grasp.errors import InvalidCloud, InvalidMesh, InvalidView
 OUTSIDE, INSIDE, HANDLE = 0, 1, 2
 REGION_NAMES = ("outside", "inside", "handle")
 
+_FARTHEST_M = 50.0  # depth cameras end at 10 m; a picture in millimetres begins at 100
+
 REASONS = (
     "held",
     "collided_on_approach",
@@ -45,15 +47,23 @@ class DepthImage:
     T_world_camera: np.ndarray
 
     def __post_init__(self) -> None:
-        depth = np.asarray(self.depth_m, dtype=np.float32)
+        with np.errstate(over="ignore"):
+            depth = _numbers(self.depth_m, "depth_m", InvalidView).astype(np.float32)
         if depth.ndim != 2 or depth.size == 0:
             raise InvalidView(f"depth_m has shape {depth.shape}; an (h, w) picture in metres is expected")
-        _freeze(self, "depth_m", np.where(np.isfinite(depth) & (depth > 0), depth, np.float32(0)))
+        depth = np.where(np.isfinite(depth) & (depth > 0), depth, np.float32(0))
+        far = float(np.median(depth[depth > 0])) if depth.any() else 0.0
+        if far > _FARTHEST_M:
+            raise InvalidView(f"depth_m has a median of {far:.4g} and metres are expected: divide millimetres by 1000")
+        _freeze(self, "depth_m", depth)
         K = _matrix(self.K, (3, 3), "K", InvalidView)
         if K[0, 0] <= 0 or K[1, 1] <= 0:
             raise InvalidView(f"focal lengths are {K[0, 0]}, {K[1, 1]} px; both must be positive")
         _freeze(self, "K", K)
-        _freeze(self, "T_world_camera", _matrix(self.T_world_camera, (4, 4), "T_world_camera", InvalidView))
+        T = _matrix(self.T_world_camera, (4, 4), "T_world_camera", InvalidView)
+        if not np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-3) or np.linalg.det(T[:3, :3]) < 0:
+            raise InvalidView("T_world_camera is no rigid motion: a rotation without scale or mirror is expected")
+        _freeze(self, "T_world_camera", T)
 
 
 @dataclass(frozen=True, eq=False)
@@ -396,8 +406,15 @@ def _freeze(owner: object, name: str, array: np.ndarray) -> None:
     object.__setattr__(owner, name, array)
 
 
+def _numbers(value: object, name: str, error: type[Exception]) -> np.ndarray:
+    try:
+        return np.asarray(value, dtype=np.float64)
+    except (TypeError, ValueError, RuntimeError) as cause:
+        raise error(f"{name} is a {type(value).__name__} that is no array of numbers: {cause}") from cause
+
+
 def _matrix(value: object, shape: tuple[int, int], name: str, error: type[Exception]) -> np.ndarray:
-    matrix = np.asarray(value, dtype=np.float64)
+    matrix = _numbers(value, name, error)
     if matrix.shape != shape or not np.isfinite(matrix).all():
         finite = bool(np.isfinite(matrix).all())
         raise error(f"{name} has shape {matrix.shape}, finite: {finite}; finite {shape} is expected")
@@ -405,7 +422,7 @@ def _matrix(value: object, shape: tuple[int, int], name: str, error: type[Except
 
 
 def _vector(value: object, length: int, name: str, error: type[Exception]) -> np.ndarray:
-    vector = np.asarray(value, dtype=np.float64)
+    vector = _numbers(value, name, error)
     if vector.shape != (length,) or not np.isfinite(vector).all():
         finite = bool(np.isfinite(vector).all())
         raise error(f"{name} has shape {vector.shape}, finite: {finite}; finite ({length},) is expected")

@@ -9,7 +9,7 @@ from gfp_grasp.detect.merging import MergeConfig
 from gfp_grasp.detect.noise import estimate_sigma
 from gfp_grasp.detect.single import detect_single
 from gfp_grasp.detect.support import SupportConfig, find_support
-from gfp_grasp.detect.validate import clean_cloud
+from gfp_grasp.detect.validate import clean_cloud, numbers_of
 
 if TYPE_CHECKING:
     from gfp_grasp.detect.classifier import classify
@@ -27,6 +27,7 @@ __all__ = [
     "find_support",
     "label_picture",
     "label_points",
+    "numbers_of",
     "upright_box",
 ]
 

@@ -121,6 +121,8 @@ def label_points(points: np.ndarray, support: SupportPlane, *, config: ClusterCo
 
 def cluster_points(points: np.ndarray, gap_m: float) -> np.ndarray:
     """(n,) int32 clusters of (n, 3) points by DBSCAN, 0 for outliers; the gap grows where the points are sparse."""
+    if len(points) < 2:
+        return np.zeros(len(points), dtype=np.int32)
     spacing = float(np.median(KDTree(points).query(points[:: -(-len(points) // 2000)], k=2)[0][:, 1]))
     found = DBSCAN(eps=max(gap_m, 3.0 * spacing), min_samples=_NEIGHBOURS).fit(points).labels_
     return (found + 1).astype(np.int32)

@@ -18,6 +18,11 @@ from gfp_grasp.types import DepthImage, Detection, SupportPlane
 
 # Angles of a camera above the horizon that are tried where neither up nor a table is known.
 _CAMERA_ELEVATIONS_DEG = (30.0, 15.0, 45.0, 0.0, 60.0)
+_AT_ORIGIN_M = 0.01  # a viewpoint this near to the origin says that the frame is a camera's
+# No camera has an object fill more of its picture than this, to either side; from within one it is a half space.
+_MAX_HALF_ANGLE_DEG = 65.0
+_MAX_RANGE_M = 20.0  # no depth camera resolves a cup from farther away
+_MIN_SHARE_IN_MASK = 0.1
 _SECOND_SHARE = 0.1  # a second cluster of this share of the first's surface is worth a warning
 _NEAR_M = 0.06  # clusters this near may be one object behind an occluder
 _VOXEL_M = 0.003
@@ -40,7 +45,8 @@ def detect_single(
         points: (n, 3) m, finite (see clean_cloud); table and flying pixels are taken off.
         viewpoint: (3,) m, where the camera stood; the view's camera where that is given.
         up: (3,) the support's normal; None takes a plane under the object, or the camera's axes: of several
-            elevations the one under which the object looks most like a known class. `Detection.up` says which.
+            elevations the one under which the object looks most like a known class; with a viewpoint that is not the
+            origin, and no view, z where the camera is above the object, else another axis. `Detection.up` says which.
         support_height: Of the table along up, m; None looks for it, and leaves support None where there is none.
         view: The whole depth picture.
         mask: (h, w) bool, the object's pixels in it; None marks the pixels that the points fall on.
@@ -49,11 +55,11 @@ def detect_single(
 
     Raises:
         NothingDetected: Nothing stands above the support.
-        InvalidCloud: Several clusters, wider apart than one object can be, or an object that is too large.
-        InvalidView: A mask without a view.
+        InvalidCloud: Several clusters, wider apart than one object can be, an object that is too large, or a viewpoint
+            that is within it or out of range.
+        InvalidView: A mask without a view or of another shape, or a view that did not see the points.
     """
-    if mask is not None and view is None:
-        raise InvalidView("a mask came without its view: give both, or neither")
+    mask = _checked_mask(mask, view)
     if view is not None and viewpoint is None:
         viewpoint = view.T_world_camera[:3, 3]
     points = points[:: -(-len(points) // config.max_points)]
@@ -61,10 +67,12 @@ def detect_single(
     if support is not None:
         up = support.normal
     mine = _object_points(points, support, config)
+    if viewpoint is not None:
+        _refuse_viewpoint(np.asarray(viewpoint, dtype=np.float64), mine)
     if up is None:
-        up = _likely_up(mine, view)
-    if view is not None and mask is None:
-        mask = _pixels_of(mine, view)
+        up = _likely_up(mine, viewpoint, view)
+    if view is not None:
+        mask = _mask_of(mine, view, mask)
     return make_detection(
         mine,
         viewpoint=viewpoint,
@@ -88,7 +96,7 @@ def _support(
     if support_height is not None:
         if up is None:
             found = _support(points, viewpoint, None, None, view, config)
-            up = _likely_up(points, view) if found is None else found.normal
+            up = _likely_up(points, viewpoint, view) if found is None else found.normal
         return SupportPlane(up, support_height)
     if view is not None:
         found = picture_support(view, up, config)
@@ -154,16 +162,70 @@ def _without_flying(points: np.ndarray) -> np.ndarray:
     return points[dense] if dense.sum() >= MIN_POINTS else points
 
 
-def _likely_up(points: np.ndarray, view: DepthImage | None) -> np.ndarray:
-    """The direction under which the classifier is surest, of the frame's z and a level camera's likely elevations."""
+def _refuse_viewpoint(viewpoint: np.ndarray, points: np.ndarray) -> None:
+    sight = points - viewpoint
+    distance = np.linalg.norm(sight, axis=1)
+    if np.median(distance) > _MAX_RANGE_M:
+        raise InvalidCloud(
+            f"viewpoint is {np.median(distance):.4g} m away from the object, at most {_MAX_RANGE_M:.0f} is expected: "
+            "is it in the frame of the cloud, and in metres?"
+        )
+    middle = points.mean(axis=0) - viewpoint
+    cosine = sight @ middle / np.maximum(distance * np.linalg.norm(middle), 1e-12)
+    if np.quantile(cosine, 0.05) < np.cos(np.radians(_MAX_HALF_ANGLE_DEG)):
+        raise InvalidCloud(
+            f"viewpoint is inside of the object or touches it, {distance.min():.3f} m from its nearest point: give the "
+            "place where the camera stood, in the frame of the cloud, or None if it is unknown"
+        )
+
+
+def _likely_up(points: np.ndarray, viewpoint: np.ndarray | None, view: DepthImage | None) -> np.ndarray:
+    """The direction under which the classifier is surest, of those that the frame makes likely."""
     from gfp_grasp.detect.classifier import classify  # torch, only where it is asked for
 
+    return max(_possible_ups(points, viewpoint, view), key=lambda up: max(classify(points, up).values()))
+
+
+def _possible_ups(points: np.ndarray, viewpoint: np.ndarray | None, view: DepthImage | None) -> list[np.ndarray]:
+    """A level camera's at likely elevations; with a view the world's z too; in a frame that is no camera's its axes."""
+    if view is None and viewpoint is not None and np.linalg.norm(viewpoint) > _AT_ORIGIN_M:
+        toward = np.asarray(viewpoint) - points.mean(axis=0)
+        # Most worlds have z up, and a camera looks at a table from above.
+        return [UP] if toward @ UP > 0 else [up for up in np.vstack([np.eye(3), -np.eye(3)]) if up @ toward > 0]
     R = np.eye(3) if view is None else view.T_world_camera[:3, :3]
     elevations = np.radians(_CAMERA_ELEVATIONS_DEG)
     ups = [R @ np.array([0.0, -np.cos(e), -np.sin(e)]) for e in elevations]
-    if view is not None:
-        ups.append(UP)
-    return max(ups, key=lambda up: max(classify(points, up).values()))
+    return ups if view is None else [*ups, UP]
+
+
+def _checked_mask(mask: object, view: DepthImage | None) -> np.ndarray | None:
+    if mask is None:
+        return None
+    if view is None:
+        raise InvalidView("a mask came without its view: give both, or neither")
+    try:
+        pixels = np.asarray(mask)
+        pixels = np.nan_to_num(pixels).astype(bool) if pixels.dtype.kind == "f" else pixels.astype(bool)
+    except (TypeError, ValueError, RuntimeError) as error:
+        raise InvalidView(f"mask is a {type(mask).__name__}; an (h, w) bool array is expected") from error
+    if pixels.shape != view.depth_m.shape:
+        raise InvalidView(f"mask has shape {pixels.shape}, the depth picture {view.depth_m.shape}")
+    return pixels
+
+
+def _mask_of(points: np.ndarray, view: DepthImage, mask: np.ndarray | None) -> np.ndarray:
+    """The given mask, or else the pixels of the points; refused where it or the view has nothing of the points."""
+    seen = _pixels_of(points, view)
+    if not seen.any():
+        raise InvalidView(
+            "the view saw nothing where the points are: is its pose T_world_camera in the frame of the cloud?"
+        )
+    if mask is None:
+        return seen
+    share = float((seen & mask).sum() / seen.sum())
+    if share < _MIN_SHARE_IN_MASK:
+        raise InvalidView(f"the mask covers {share:.0%} of the points' pixels: is it true on the object's pixels?")
+    return mask
 
 
 def _pixels_of(points: np.ndarray, view: DepthImage) -> np.ndarray:
