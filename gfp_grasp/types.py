@@ -388,8 +388,8 @@ class Outcome:
     Attributes:
         success: Held to the end.
         reason: One of REASONS.
-        lift_m: Height gained by the object at the end of the lift.
-        slip_m: How far it moved in the gripper from the end of closing to the end.
+        lift_m: Height gained by the object when the attempt ended.
+        slip_m: The most that it moved in the gripper after closing.
         settings: What it ran under.
     """
 

@@ -2,6 +2,7 @@
 
 import gc
 import json
+import re
 import subprocess
 import sys
 import weakref
@@ -16,7 +17,8 @@ from trimesh.exchange.ply import export_ply
 from gfp_grasp.detect import DetectConfig, detect_objects
 from gfp_grasp.envs import GfpGraspEnv
 from gfp_grasp.envs.action import ActionCode
-from gfp_grasp.errors import InvalidAction, InvalidMesh, InvalidOption, UnreadableFile
+from gfp_grasp.envs.world import World
+from gfp_grasp.errors import InvalidAction, InvalidMesh, InvalidOption, InvalidScene, UnreadableFile
 from gfp_grasp.scenes import load_objects
 from gfp_grasp.score import score
 from gfp_grasp.transforms import make_T
@@ -173,6 +175,25 @@ def test_a_view_that_sees_nothing_at_all_is_a_failed_completion(folder):
     observation, info = env.reset(seed=0)
     assert info["completion_error"].startswith("NothingDetected")
     assert not observation["depth"].any()
+
+
+def test_a_completion_that_cannot_be_simulated_fails_its_attempts_not_the_env(folder, monkeypatch):
+    def refuse(*_):
+        raise InvalidScene("part 0 is a sliver")
+
+    env = GfpGraspEnv(objects=folder, completer="observed", world="completed", **SMALL)
+    monkeypatch.setattr(World, "of_parts", refuse)
+    _, info = env.reset(seed=0)
+    assert info["completion_error"] == "InvalidScene: part 0 is a sliver"
+    assert not info["completion_failed"]
+    assert env.step(np.zeros(10))[4]["reason"] == "no_grasp_found"
+
+
+def test_the_docstring_tells_every_key_of_info_and_observation(env):
+    observation, info = env.reset(seed=0)
+    text = GfpGraspEnv.__doc__
+    keys = {name for row in re.findall(r"^    \| ([a-z_, ]+?) \| ", text, re.MULTILINE) for name in row.split(", ")}
+    assert keys - {"key", "entries"} == {*observation, *info}
 
 
 def test_without_classes_a_detection_is_the_same_but_for_the_class(env):

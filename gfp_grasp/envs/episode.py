@@ -32,7 +32,7 @@ class Episode:
         image: The depth picture, with the sensor's noise.
         detection: What was found in it; None where nothing was.
         completion: The completed object; None where detection or completion failed.
-        failure: Name and message of the error that ended detection or completion; empty where none did.
+        failure: Name and message of the error that ended detection, completion or its simulation; empty where none did.
         notes: Warnings given on the way.
     """
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import OrderedDict
+from dataclasses import replace
 from typing import Any, ClassVar
 
 import gymnasium
@@ -34,8 +35,9 @@ class GfpGraspEnv(gymnasium.Env[Observation, np.ndarray], EzPickle):
 
     An episode is one step: the action is a grasp, which is approached, closed, lifted and shaken
     (`gfp_grasp.envs.settings.TrialSettings` has every number of it). The reward is 1 where the object is held to the
-    end and 0 elsewhere; `terminated` is always True. Stepping again without a reset tries another grasp on the same
-    scene.
+    end and 0 elsewhere; `terminated` is always True, `truncated` always False. Stepping again without a reset tries
+    another grasp on the same scene, as it was. With world="completed" the completion's convex parts stand in for the
+    object, and weigh nothing until the jaws have closed.
 
     Action, `Box(-1, 1, (10,), float32)`; world frame, z up, the table's top at z = 0:
 
@@ -52,21 +54,38 @@ class GfpGraspEnv(gymnasium.Env[Observation, np.ndarray], EzPickle):
 
     | key | shape, type | meaning |
     |---|---|---|
-    | observed | (num_points, 3) float32 | points on the object that the camera saw, m, padded with zeros |
+    | observed | (num_points, 3) float32 | points seen on the object, m: at most so many, at random; then zeros |
     | observed_mask | (num_points,) int8 | 1 where `observed` has a point |
     | completed | (num_points, 3) float32 | samples of the completed surface, m; zeros where completion failed |
-    | depth | (image_height, image_width) float32 | the depth picture, m; 0 where nothing came back |
+    | depth | (image_height, image_width) float32 | the depth picture, m, up to 10; 0 where nothing came back |
 
-    Info has the same keys after reset and step: `is_success`, `reason` (one of `gfp_grasp.types.REASONS`; "" before an
-    attempt), `lift_m`, `slip_m`, `object`, `category`, `mass_kg`, `friction`, `completer`, `world`,
-    `completion_failed`, `completion_error`, `completion_notes`, `num_observed`.
+    Points are in the world's frame, clipped to 2 m; rows stand in no particular order.
+
+    Info has the same keys after reset and step:
+
+    | key | type | meaning |
+    |---|---|---|
+    | is_success | bool | held to the end |
+    | reason | str | one of `gfp_grasp.types.REASONS`; "" before an attempt |
+    | lift_m | float | height gained by the object when the attempt ended |
+    | slip_m | float | the most that it slipped in the gripper |
+    | object, category | str | name and class of the true object; the class is "" where it is unknown |
+    | mass_kg, friction | float | of the true object |
+    | completer, world | str | as in the options |
+    | completion_failed | bool | nothing was detected or completed; a step in the completed world is `no_grasp_found` |
+    | completion_error | str | the error that ended detection, completion or its simulation; "" where none did |
+    | completion_notes | str | warnings given on the way |
+    | num_observed | int | points seen on the object, before they are thinned; 0 where nothing was detected |
 
     Options of the constructor are those of `gfp_grasp.envs.config.EnvConfig`. Options of reset: `object` (number of
-    the object, instead of a random one) and `completion` (to be used instead of the completer's).
+    the object, instead of a random one) and `completion` (a `Completion` to be used instead of the completer's).
 
     Raises:
         InvalidOption: An option that is unknown or not legal; the message lists what is.
+        UnreadableFile: The folder of objects holds no mesh, or, at reset, a file is none.
+        InvalidMesh: At reset: the file of the object that was drawn cannot be used; the message names it.
         InvalidAction: An action that is not a finite vector of the action space.
+        gymnasium.error.ResetNeeded: A step before the first reset.
     """
 
     metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 1}
@@ -110,7 +129,7 @@ class GfpGraspEnv(gymnasium.Env[Observation, np.ndarray], EzPickle):
         number, given = self._chosen(options)
         truth, world = self._true_world(number)
         self._episode = draw_episode(truth, world, self._complete, self.config, self.np_random, given=given)
-        self._world = self._world_of(self._episode, world)
+        self._episode, self._world = self._world_of(self._episode, world)
         self._observation = observe(self._episode, self.config, self.np_random)
         return _copy(self._observation), self._info(None)
 
@@ -173,14 +192,17 @@ class GfpGraspEnv(gymnasium.Env[Observation, np.ndarray], EzPickle):
         self._truths.move_to_end(number)
         return self._truths[number]
 
-    def _world_of(self, episode: Episode, true_world: World) -> World | None:
-        """The world that attempts run in; None where it cannot be, for want of a completion."""
+    def _world_of(self, episode: Episode, true_world: World) -> tuple[Episode, World | None]:
+        """The world that attempts run in, None where there is none to be had; the episode says why."""
         if self.config.world == "true":
-            return true_world
+            return episode, true_world
         if episode.completion is None:
-            return None
-        parts = episode.completion.collision.parts
-        return World.of_parts(parts, episode.truth.mass_kg, episode.truth.friction)
+            return episode, None
+        try:
+            parts = episode.completion.collision.parts
+            return episode, World.of_parts(parts, episode.truth.mass_kg, episode.truth.friction)
+        except GfpGraspError as error:  # no parts of it, or none that MuJoCo takes
+            return replace(episode, failure=f"{type(error).__name__}: {error}"), None
 
     def _info(self, outcome: Outcome | None) -> dict[str, Any]:
         episode = self.episode
