@@ -139,17 +139,21 @@ def complete_scene(
 
     Raises:
         NothingDetected: No object stands out from the support.
+        FitDiverged: No primitive fits any object.
         InvalidView: Not a DepthImage.
     """
     _check_options(config, seed)
     if not isinstance(image, DepthImage):
         raise InvalidView(f"image is a {type(image).__name__}; a gfp_grasp.types.DepthImage is expected")
-    done = []
+    done, failure = [], None
     for detection in detect_objects(image, up=_checked_direction(up)):
         try:
             done.append(complete_detection(detection, config=config, seed=seed))
         except FitDiverged as error:
             warnings.warn(f"an object was left out: {error}", stacklevel=2)
+            failure = error
+    if failure is not None and not done:
+        raise FitDiverged(f"no object of the picture could be completed; the last: {failure}")
     return tuple(done)
 
 

@@ -95,6 +95,8 @@ class Completion:
         Raises:
             InvalidOption: Another suffix; the message lists these.
         """
-        from gfp_grasp.export import export_completion
+        from gfp_grasp.export import export_completion, needs_parts
 
-        return export_completion(self.mesh, self.parts, Path(path), name=self.category or "object")
+        parts = self.parts if needs_parts(path) else ()
+        name = self.category or "object"
+        return export_completion(self.mesh, parts, Path(path), name=name, up=self.detection.up)

@@ -10,14 +10,17 @@ from xml.etree import ElementTree
 
 import numpy as np
 import trimesh
+from numpy.typing import ArrayLike
 
 from gfp_grasp.errors import InvalidMesh, InvalidOption
 from gfp_grasp.types import ConvexPart
 
+_GRAVITY = 9.81  # MuJoCo's own
 _MESH_SUFFIXES = (".obj", ".ply", ".stl", ".glb")
 SUFFIXES = (*_MESH_SUFFIXES, ".xml", ".urdf")
 
 Part = ConvexPart | trimesh.Trimesh
+_Writer = Callable[[trimesh.Trimesh, Sequence[Part], Path, str, "MassProperties", np.ndarray], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,6 +41,7 @@ def export_completion(
     density: float = 1000.0,
     shell_thickness_m: float | None = None,
     colors: np.ndarray | None = None,
+    up: ArrayLike = (0.0, 0.0, 1.0),
 ) -> Path:
     """Write an object in the form that the suffix names.
 
@@ -54,29 +58,41 @@ def export_completion(
         shell_thickness_m: Take the mass from the surface times this thickness instead of the volume. Cups whose mesh
             has an inside need none; closed bottles that are hollow do.
         colors: (v, 3) or (v, 4) uint8 of the vertices, kept by .ply, .glb and .obj.
+        up: (3,) normal of the floor and the way that gravity does not pull, in the mesh's frame; for .xml.
 
     Returns:
         The path.
 
     Raises:
-        InvalidOption: Unknown suffix, illegal name, density, thickness or colors.
+        InvalidOption: Unknown suffix, illegal name, density, thickness, colors or up.
         InvalidMesh: No parts where they are needed, or mass from a volume that is none.
     """
     path = Path(path)
     writer = _writer(path)
+    direction = _direction(up)
     if not re.fullmatch(r"[A-Za-z0-9_.-]+", name):
         raise InvalidOption(f"name is {name!r}; letters, digits and _ . - are legal")
     mesh = _colored(mesh, colors)
     path.parent.mkdir(parents=True, exist_ok=True)
     if writer is None:
-        mesh.export(path)
+        mesh.export(path, file_type=path.suffix.lower()[1:])
         return path
     if not parts:
         raise InvalidMesh(
             f"no convex parts came; {path.suffix} needs them: pass those of decompose or of the completion"
         )
-    writer(mesh, parts, path, name, mass_properties(mesh, density=density, shell_thickness_m=shell_thickness_m))
+    weight = mass_properties(mesh, density=density, shell_thickness_m=shell_thickness_m)
+    writer(mesh, parts, path, name, weight, direction)
     return path
+
+
+def needs_parts(path: str | Path) -> bool:
+    """Whether the format that the suffix names holds convex parts.
+
+    Raises:
+        InvalidOption: Unknown suffix.
+    """
+    return _writer(Path(path)) is not None
 
 
 def mass_properties(
@@ -105,11 +121,20 @@ def mass_properties(
     return MassProperties(float(found.mass), np.array(found.center_mass), np.array(found.inertia))
 
 
-def _writer(path: Path) -> Callable[[trimesh.Trimesh, Sequence[Part], Path, str, MassProperties], None] | None:
+def _writer(
+    path: Path,
+) -> Callable[[trimesh.Trimesh, Sequence[Part], Path, str, MassProperties, np.ndarray], None] | None:
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise InvalidOption(f"{path.name!r} ends in {suffix or 'no suffix'}; legal are {', '.join(SUFFIXES)}")
     return {".xml": _write_mjcf, ".urdf": _write_urdf}.get(suffix)
+
+
+def _direction(up: ArrayLike) -> np.ndarray:
+    direction = np.asarray(up, dtype=np.float64)
+    if direction.shape != (3,) or not np.isfinite(direction).all() or not direction.any():
+        raise InvalidOption(f"up is {up!r}; three finite numbers, not all zero, are expected")
+    return direction / np.linalg.norm(direction)
 
 
 def _colored(mesh: trimesh.Trimesh, colors: np.ndarray | None) -> trimesh.Trimesh:
@@ -139,19 +164,27 @@ def _of_shell(triangles: np.ndarray, density_kg_m2: float) -> MassProperties:
     return MassProperties(float(mass.sum()), centre, np.trace(second) * np.eye(3) - second)
 
 
-def _write_mjcf(mesh: trimesh.Trimesh, parts: Sequence[Part], path: Path, name: str, weight: MassProperties) -> None:
+def _write_mjcf(
+    mesh: trimesh.Trimesh, parts: Sequence[Part], path: Path, name: str, weight: MassProperties, up: np.ndarray
+) -> None:
     root = ElementTree.Element("mujoco", model=name)
+    ElementTree.SubElement(root, "option", gravity=_text(-_GRAVITY * up))
     asset = ElementTree.SubElement(root, "asset")
     world = ElementTree.SubElement(root, "worldbody")
-    lowest = min(float(shape.vertices[:, 2].min()) for shape in (mesh, *parts))
+    lowest = min(float((shape.vertices @ up).min()) for shape in (mesh, *parts))
     middle = mesh.bounds.mean(axis=0)
     size = float(np.ptp(mesh.bounds, axis=0).max())
-    ElementTree.SubElement(
-        world, "light", pos=_text(middle + np.array([0, 0, 5 * size + 1])), dir="0 0 -1", type="directional"
-    )
+    ElementTree.SubElement(world, "light", pos=_text(middle + (5 * size + 1) * up), dir=_text(-up), type="directional")
     # An infinite plane, just below: what was fitted to noise must not start inside of it.
     ElementTree.SubElement(
-        world, "geom", name="floor", type="plane", size="0 0 0.05", pos=_text([0, 0, lowest]), rgba="0.8 0.8 0.82 1"
+        world,
+        "geom",
+        name="floor",
+        type="plane",
+        size="0 0 0.05",
+        pos=_text(lowest * up),
+        zaxis=_text(up),
+        rgba="0.8 0.8 0.82 1",
     )
     body = ElementTree.SubElement(world, "body", name=name)
     ElementTree.SubElement(body, "freejoint", name=f"{name}_free")
@@ -177,7 +210,10 @@ def _write_mjcf(mesh: trimesh.Trimesh, parts: Sequence[Part], path: Path, name: 
     _write_xml(root, path)
 
 
-def _write_urdf(mesh: trimesh.Trimesh, parts: Sequence[Part], path: Path, name: str, weight: MassProperties) -> None:
+def _write_urdf(
+    mesh: trimesh.Trimesh, parts: Sequence[Part], path: Path, name: str, weight: MassProperties, up: np.ndarray
+) -> None:
+    del up  # URDF has no gravity
     folder = path.parent / f"{path.stem}_meshes"
     folder.mkdir(exist_ok=True)
     for stale in folder.glob("hull_[0-9][0-9][0-9].obj"):

@@ -135,6 +135,15 @@ def test_true_mesh_comes_along_in_the_frame_of_the_points(tmp_path: Path) -> Non
         ({"points": POINTS, "mask": np.ones((4, 4))}, InvalidView, "no picture"),
         ({"points": POINTS, "up": np.ones(2)}, InvalidView, "three finite"),
         ({"points": POINTS, "T_world_camera": np.ones((4, 4))}, InvalidView, "rigid"),
+        ({"points": POINTS, "T_world_camera": "pose"}, UnreadableFile, "pose"),
+        ({"points": POINTS, "viewpoint": ["a", "b", "c"]}, UnreadableFile, "key"),
+        ({"points": POINTS, "support_height": [0.0, 1.0]}, UnreadableFile, "key"),
+        ({"points": POINTS, "support_height": "low"}, UnreadableFile, "low"),
+        ({"points_cam": np.full((4, 4, 3), "a")}, UnreadableFile, "key"),
+        ({"depth_m": np.full((4, 4), "a"), "K": K}, InvalidView, "depth_m"),
+        ({"depth_m": np.ones((24, 32)), "K": K, "mask": np.full((24, 32), "a")}, InvalidView, "mask"),
+        ({"depth_m": np.ones((24, 32)), "K": K, "mask": np.ones((32, 24))}, InvalidView, "mask"),
+        ({"points": POINTS, "mesh_vertices_cam": np.ones(3), "mesh_faces": ["a"]}, UnreadableFile, "key"),
         ({"depth_m": np.zeros((24, 32)), "K": K, "mask": np.ones((24, 32), bool)}, InvalidCloud, "no pixel"),
     ],
 )
@@ -148,6 +157,23 @@ def test_a_pickle_is_refused_unread(tmp_path: Path) -> None:
     np.savez(tmp_path / "a.npz", points=np.array([{"run": "me"}], dtype=object))
     with pytest.raises(UnreadableFile, match="plain arrays"):
         read_capture(tmp_path / "a.npz")
+
+
+def test_an_archive_that_unpacks_to_more_than_is_read_is_refused_packed(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    np.savez_compressed(tmp_path / "a.npz", points=np.zeros((100_000, 3)))
+    monkeypatch.setattr("gfp_grasp.captures.read._LARGEST_BYTES", 100_000)
+    assert (tmp_path / "a.npz").stat().st_size < 100_000
+    with pytest.raises(UnreadableFile, match="unpacked"):
+        read_capture(tmp_path / "a.npz")
+
+
+def test_an_array_that_promises_more_than_memory_is_refused(tmp_path: Path) -> None:
+    whole = write(tmp_path / "a.npy", POINTS).read_bytes()
+    (tmp_path / "a.npy").write_bytes(whole.replace(b"(60, 3), }          ", b"(10000000000000, 3)}"))
+    with pytest.raises(UnreadableFile):
+        read_capture(tmp_path / "a.npy")
 
 
 def test_missing_file_and_unknown_suffix_are_refused(tmp_path: Path) -> None:

@@ -62,6 +62,29 @@ def test_sample_capture_is_completed_into_every_format(tmp_path: Path, capsys: p
         (("gps", "show", "teapot"), "teapot"),
         (("train", "gfpnet", "--variant", "other"), "other"),
         (("demo", "--cloud", "nowhere.ply"), "nowhere.ply"),
+        (("demo", "--capture", "nowhere.npz"), "nowhere.npz"),
+        (("complete", "sample", "-o", "a.glb", "--viewpoint", "nan,0,0"), "finite"),
+        (("complete", "sample", "-o", "a.glb", "--up", "0,0,0"), "no length"),
+        (("complete", "sample", "-o", "a.glb", "--support-height", "nan"), "support_height"),
+        (("complete", "sample"), "--output"),
+        (("complete", "sample", "-o"), "-o"),
+        (("complete", "sample", "-o", "a.glb", "--viewpoint"), "--viewpoint"),
+        (("complete", "sample", "-o", "a.glb", "--seed", "x"), "--seed"),
+        (("complete", "sample", "-o", "a.glb", "--seed", "-1"), "--seed"),
+        (("complete", "sample", "-o", "/dev/null/a.glb"), "cannot be written"),
+        (("complete", ".", "-o", "a.glb"), "suffix"),
+        (("complete", "a\0b.npy", "-o", "a.glb"), "null"),
+        (("decompose", "a\0b.stl", "-o", "a.xml"), "null"),
+        (("score", "--objects", "."), ""),
+        (("bench", "completion", "--objects", "."), ""),
+        (("bench", "completion", "--objects", "cup", "--methods", "magic"), "magic"),
+        (("bench", "detection", "--data", "nowhere"), "nowhere"),
+        (("bench", "registration", "--starts", "magic"), "magic"),
+        (("gps", "build", "teapot", "--meshes", "."), ""),
+        (("gps", "build", "teapot"), "teapot"),
+        (("gps", "build", "teapot", "--meshes", ".", "--orientation", "sideways"), "sideways"),
+        (("gps", "dance"), "dance"),
+        (("dance",), "dance"),
     ],
 )
 def test_refusal_is_one_line_on_stderr_and_exit_code_two(
@@ -83,6 +106,32 @@ def test_empty_cloud_is_refused_without_a_traceback(tmp_path: Path, capsys: pyte
     np.save(tmp_path / "empty.npy", np.zeros((0, 3)))
     assert run("complete", tmp_path / "empty.npy", "-o", tmp_path / "a.glb") == 2
     assert "Traceback" not in capsys.readouterr().err
+
+
+def test_file_that_cannot_be_written_is_one_line_and_exit_code_two(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    def refuse(_: object) -> None:
+        raise PermissionError(13, "Permission denied", "mug.glb")
+
+    monkeypatch.setattr("gfp_grasp.captures.read_capture", refuse)
+    assert run("complete", "sample", "-o", "mug.glb") == 2
+    assert capsys.readouterr().err.strip() == "Permission denied: mug.glb"
+
+
+@pytest.mark.parametrize("words", [(), ("gps",), ("bench",)])
+def test_a_command_without_words_shows_its_help(words: tuple[str, ...], capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(*words) == 2
+    assert "Usage" in capsys.readouterr().out
+
+
+@pytest.mark.slow
+def test_decompose_takes_an_open_mesh_a_name_with_spaces_and_a_suffix_in_capitals(tmp_path: Path) -> None:
+    box = trimesh.creation.box((0.05, 0.04, 0.03))
+    box.update_faces(box.face_normals[:, 2] < 0.5)
+    box.export(tmp_path / "open bøx.ply")
+    assert run("decompose", tmp_path / "open bøx.ply", "-o", tmp_path / "my bøx.XML") == 0
+    assert 'body name="open_b_x"' in (tmp_path / "my bøx.XML").read_text(encoding="utf-8")
 
 
 @pytest.mark.slow

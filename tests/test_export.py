@@ -94,6 +94,41 @@ def test_mjcf_is_one_file_that_stands_on_its_floor_and_holds_a_marble(tmp_path):
     assert data.body("marble").xpos[2] == pytest.approx(0.5 + 0.004 + 0.01, abs=1e-3)
 
 
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_suffix_in_capitals_spaces_and_new_folders_are_fine(tmp_path, suffix):
+    mesh, parts = cup()
+    path = export_completion(mesh, parts, tmp_path / "my föld er" / f"a cup{suffix.upper()}")
+    assert path.stat().st_size > 500
+    if suffix in (".xml", ".urdf"):
+        lower = path.rename(path.with_suffix(suffix))  # MuJoCo goes by the suffix
+        assert mujoco.MjModel.from_xml_path(str(lower)).ngeom > len(parts)
+    else:
+        loaded = trimesh.load_mesh(str(path))
+        assert loaded.volume == pytest.approx(mesh.volume, rel=1e-4)
+
+
+def test_floor_and_gravity_follow_up(tmp_path):
+    """A cup in a camera's frame, whose up is -y, stands on the floor as it does where up is z."""
+    mesh, parts = cup()
+    turn = trimesh.transformations.rotation_matrix(np.pi / 2, (1, 0, 0))
+    mesh.apply_transform(turn)
+    turned = [ConvexPart(part.vertices @ turn[:3, :3].T, part.faces) for part in parts]
+    path = export_completion(mesh, turned, tmp_path / "cup.xml", up=(0, -3, 0))
+    model = mujoco.MjModel.from_xml_path(str(path))
+    np.testing.assert_allclose(model.opt.gravity, (0, 9.81, 0), atol=1e-9)
+    data = mujoco.MjData(model)
+    for _ in range(300):
+        mujoco.mj_step(model, data)
+    np.testing.assert_allclose(data.body("object").xpos, 0, atol=1e-3)
+    np.testing.assert_allclose(data.body("object").xmat.reshape(3, 3), np.eye(3), atol=0.01)
+
+
+def test_up_without_length_is_refused(tmp_path):
+    mesh, parts = cup()
+    with pytest.raises(InvalidOption, match="up"):
+        export_completion(mesh, parts, tmp_path / "cup.xml", up=(0, 0, 0))
+
+
 def test_hulls_collide_and_the_visual_does_not(tmp_path):
     mesh, parts = cup()
     model = mujoco.MjModel.from_xml_path(str(export_completion(mesh, parts, tmp_path / "a.xml", name="a")))

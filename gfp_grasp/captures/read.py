@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import re
 import zipfile
-import zlib
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -16,7 +15,8 @@ from gfp_grasp.assets import data_file
 from gfp_grasp.camera import cloud_of, view_from_points
 from gfp_grasp.captures.capture import Capture
 from gfp_grasp.captures.pcd import parse_pcd
-from gfp_grasp.errors import InvalidCloud, InvalidView, UnreadableFile
+from gfp_grasp.errors import GfpGraspError, InvalidCloud, InvalidView, UnreadableFile
+from gfp_grasp.meshes.load import READER_ERRORS
 from gfp_grasp.transforms import apply_T
 from gfp_grasp.types import DepthImage
 
@@ -75,14 +75,24 @@ def read_capture(path: str | Path) -> Capture:
 def _content(path: Path) -> bytes:
     try:
         size = path.stat().st_size
-        if not 0 < size <= _LARGEST_BYTES:
-            raise UnreadableFile(f"{path.name} has {size} bytes; 1 to {_LARGEST_BYTES} are read")
-        return path.read_bytes()
-    except OSError as error:
-        raise UnreadableFile(f"{path} cannot be read: {error.strerror}") from error
+        content = path.read_bytes() if 0 < size <= _LARGEST_BYTES else b""
+    except (OSError, ValueError) as error:  # a ValueError of a path with a null character
+        raise UnreadableFile(f"{path} cannot be read: {getattr(error, 'strerror', error)}") from error
+    if not content:
+        raise UnreadableFile(f"{path.name} has {size} bytes; 1 to {_LARGEST_BYTES} are read")
+    return content
 
 
 def _of_keys(name: str, arrays: Mapping[str, np.ndarray]) -> Capture:
+    try:
+        return _capture(name, arrays)
+    except GfpGraspError:
+        raise
+    except (TypeError, ValueError, LookupError, AttributeError) as error:  # text where numbers should be, and the like
+        raise UnreadableFile(f"{name}: a key does not hold what it should: {error}") from error
+
+
+def _capture(name: str, arrays: Mapping[str, np.ndarray]) -> Capture:
     T = _T_world_camera(name, arrays)
     view = _view(arrays, T)
     points = None
@@ -90,7 +100,10 @@ def _of_keys(name: str, arrays: Mapping[str, np.ndarray]) -> Capture:
         points = _points(name, "points", arrays["points"])
     elif "object_points_cam" in arrays:
         points = apply_T(T, _points(name, "object_points_cam", arrays["object_points_cam"]))
-    mask = arrays["mask"].astype(bool) if "mask" in arrays else None
+    mask = arrays.get("mask")
+    if mask is not None and mask.dtype.kind not in "bfiu":
+        raise InvalidView(f"{name}: the mask is of {mask.dtype}; (h, w) true or false is expected")
+    mask = None if mask is None else np.nan_to_num(mask).astype(bool)
     if mask is not None and view is None:
         raise InvalidView(f"{name} has a mask but no picture: add depth_m and K, or points_cam")
     if points is None and view is None:
@@ -153,16 +166,20 @@ def _vector(name: str, key: str, arrays: Mapping[str, np.ndarray]) -> np.ndarray
 
 def _arrays(name: str, content: bytes) -> dict[str, np.ndarray]:
     try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            size = sum(entry.file_size for entry in archive.infolist())
+        if size > _LARGEST_BYTES:
+            raise ValueError(f"unpacked it has {size} bytes, at most {_LARGEST_BYTES} are read")
         with np.load(io.BytesIO(content), allow_pickle=False) as file:  # a pickle could run anything
             return {key: file[key] for key in file.files}
-    except (OSError, ValueError, EOFError, KeyError, zipfile.BadZipFile, zlib.error) as error:
+    except (*READER_ERRORS, zipfile.BadZipFile) as error:
         raise UnreadableFile(f"{name} is not a readable .npz of plain arrays ({error})") from error
 
 
 def _array(name: str, content: bytes) -> np.ndarray:
     try:
         array = np.load(io.BytesIO(content), allow_pickle=False)
-    except (OSError, ValueError, EOFError) as error:
+    except READER_ERRORS as error:
         raise UnreadableFile(f"{name} is not a readable .npy of one plain array ({error})") from error
     if not isinstance(array, np.ndarray):
         raise UnreadableFile(f"{name} holds several arrays: name it .npz")
@@ -172,7 +189,7 @@ def _array(name: str, content: bytes) -> np.ndarray:
 def _read(name: str, parse: object, content: bytes) -> np.ndarray:
     try:
         return parse(content)  # pyright: ignore[reportCallIssue]
-    except (ValueError, LookupError, TypeError, AttributeError, EOFError, NameError) as error:
+    except READER_ERRORS as error:
         if isinstance(error, UnreadableFile):
             raise
         raise UnreadableFile(f"{name} is not a readable cloud: {error}") from error

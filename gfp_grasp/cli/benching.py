@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from gfp_grasp.cli.terminal import JsonFile, Limit, Objects, Seed, Split, Workers, err, out, save_json, table, track
+from gfp_grasp.errors import InvalidOption
 
 bench = typer.Typer(name="bench", help="Measure detection, registration and completion.", no_args_is_help=True)
 
@@ -63,6 +64,8 @@ def detection(
     """Objects found on tables, and classes told apart."""
     from gfp_grasp.bench.detection import measure
 
+    if data is not None and not (data / "captures").is_dir():
+        raise InvalidOption(f"--data is {data}; a folder with captures/ in it is expected")
     with err.status("detecting ..."):
         report = measure(data, num_views=views, workers=workers)
     out.print_json(json.dumps(report))

@@ -1,5 +1,7 @@
 """`gfp-grasp complete` and `gfp-grasp decompose`: files in, files out."""
 
+import os
+import re
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
@@ -12,6 +14,8 @@ import typer
 from gfp_grasp.cli.terminal import Seed, err, out, table, vector
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.export import SUFFIXES
+
+_SHELL_M = 0.002  # wall of a mesh without a volume
 
 
 def complete(
@@ -28,7 +32,7 @@ def complete(
     """Complete the object of a cloud, or every object of a depth picture. Several objects get numbered files."""
     from gfp_grasp.captures import complete_capture, read_capture
 
-    check_suffixes(output)
+    check_outputs(output)
     capture = read_capture(cloud)
     given: dict[str, object] = {}
     if viewpoint is not None:
@@ -64,16 +68,20 @@ def decompose(
 
     from gfp_grasp.collision import DecomposeConfig
     from gfp_grasp.collision import decompose as split
-    from gfp_grasp.export import export_completion
+    from gfp_grasp.export import export_completion, needs_parts
     from gfp_grasp.meshes import load_mesh
 
-    check_suffixes([output])
+    check_outputs([output])
     solid = load_mesh(mesh)
     with err.status("CoACD ..."):
         collision = split(solid, config=DecomposeConfig(seed=seed))
     parts = [part.to_trimesh() for part in collision.parts]
-    if output.suffix in (".xml", ".urdf"):
-        export_completion(solid, parts, output, name=mesh.stem)
+    if needs_parts(output):
+        name = re.sub(r"[^A-Za-z0-9_.-]+", "_", mesh.stem)
+        shell_m = None if solid.is_volume else _SHELL_M
+        if shell_m:
+            err.print(f"note: the mesh is not closed; its mass is that of a {1000 * shell_m:.0f} mm shell")
+        export_completion(solid, parts, output, name=name, shell_thickness_m=shell_m)
     else:
         export_completion(trimesh.util.concatenate(parts), parts, output)  # pyright: ignore[reportArgumentType]
     mean, high, largest = (f"{1000 * error:.2f}" for error in collision.error_m)
@@ -81,12 +89,15 @@ def decompose(
     out.print(f"{len(parts)} parts in {collision.seconds:.1f} s; off the mesh by {errors}")
 
 
-def check_suffixes(paths: Sequence[Path]) -> None:
+def check_outputs(paths: Sequence[Path]) -> None:
     """Refuse a file that could not be written, before any work is done for it.
 
     Raises:
-        InvalidOption: Of an unknown suffix.
+        InvalidOption: Of an unknown suffix, a folder itself, or in a place that nothing can be written to.
     """
     for path in paths:
         if path.suffix.lower() not in SUFFIXES:
             raise InvalidOption(f"{path}: suffix {path.suffix!r} is not among {', '.join(SUFFIXES)}")
+        folder = next(parent for parent in path.absolute().parents if parent.exists())
+        if path.is_dir() or not folder.is_dir() or not os.access(folder, os.W_OK):
+            raise InvalidOption(f"{path} cannot be written: a file in a folder that is yours is expected")

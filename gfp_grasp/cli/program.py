@@ -16,6 +16,10 @@ from gfp_grasp.cli.terminal import say_error
 from gfp_grasp.cli.training import train
 from gfp_grasp.errors import GfpGraspError
 
+_STOPPED = 130
+# Of the click package, or of the copy of it that newer typers bring: only the ancestor of this one is in both.
+_MistakeInWords = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
+
 app = typer.Typer(
     name="gfp-grasp",
     help="One depth view in; completed watertight mesh, convex collision parts and a grasp score out.",
@@ -29,7 +33,7 @@ for group in (gps, train, bench):
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Run the program and exit: 0 done, 1 a file could not be written, 2 refused with one line that says why.
+    """Run the program and exit: 0 done, 2 refused with one line that says why, 130 stopped.
 
     Args:
         arguments: After the program's name; None takes those of the process.
@@ -38,16 +42,24 @@ def main(arguments: Sequence[str] | None = None) -> None:
     if words[:1] != ["train"]:
         _keep_to_one_thread()
     try:
-        app(args=words, prog_name="gfp-grasp")
+        code = app(args=words, prog_name="gfp-grasp", standalone_mode=False)
     except GfpGraspError as error:
         say_error(f"{type(error).__name__}: {error}")
         raise SystemExit(2) from None
     except OSError as error:
         say_error(f"{error.strerror or error}: {error.filename or ''}")
-        raise SystemExit(1) from None
+        raise SystemExit(2) from None
     except KeyboardInterrupt:
+        code = _STOPPED
+    except _MistakeInWords as error:
+        if type(error).__name__ == "NoArgsIsHelpError":
+            app(args=[*words, "--help"], prog_name="gfp-grasp", standalone_mode=False)
+        else:
+            say_error(f"{error.format_message()} Try --help.")
+        raise SystemExit(2) from None
+    if code == _STOPPED:
         say_error("stopped")
-        raise SystemExit(130) from None
+    raise SystemExit(code or 0)
 
 
 def _keep_to_one_thread() -> None:

@@ -18,6 +18,8 @@ MIN_OBJECT_M = 0.015  # the smallest cup is larger, and a depth camera sees no s
 FLATNESS = 1e-4
 # A point farther than this from nearly all others is a stray, and would spoil every mean and every grid.
 _STRAY_M = MAX_EXTENT_M
+# What numpy, torch and foreign objects are seen to raise where no array can be made of them.
+_CONVERSION_ERRORS = (ArithmeticError, AttributeError, LookupError, MemoryError, RuntimeError, TypeError, ValueError)
 _SAMPLE = 20_000  # points that stand for the whole cloud where its spread is measured
 
 
@@ -75,7 +77,7 @@ def numbers_of(value: object, name: str) -> np.ndarray:
         return array.filled(np.nan) if isinstance(array, np.ma.MaskedArray) else array
     except InvalidCloud:
         raise
-    except Exception as error:  # whatever a foreign object's conversion raises
+    except _CONVERSION_ERRORS as error:
         raise InvalidCloud(f"{name} ({type(value).__name__}) is no array of numbers: {error}") from error
 
 

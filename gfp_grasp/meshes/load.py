@@ -17,7 +17,7 @@ from gfp_grasp.errors import InvalidMesh, UnreadableFile
 SUFFIXES = (".obj", ".stl", ".ply", ".glb", ".off")
 _LARGEST_BYTES = 1 << 30
 # What trimesh's readers are seen to raise on broken files; anything else would be our own mistake.
-_READER_ERRORS = (
+READER_ERRORS = (
     ArithmeticError,
     AssertionError,
     AttributeError,
@@ -52,14 +52,14 @@ def load_mesh(path: str | Path) -> trimesh.Trimesh:
         raise UnreadableFile(f"{path.name}: suffix {path.suffix!r} is not among {', '.join(SUFFIXES)}")
     try:
         size = path.stat().st_size
-        if not 0 < size <= _LARGEST_BYTES:
-            raise UnreadableFile(f"{path.name} has {size} bytes; 1 to {_LARGEST_BYTES} are read")
-        content = path.read_bytes()
-    except OSError as error:
-        raise UnreadableFile(f"{path} cannot be read: {error.strerror}") from error
+        content = path.read_bytes() if 0 < size <= _LARGEST_BYTES else b""
+    except (OSError, ValueError) as error:  # a ValueError of a path with a null character
+        raise UnreadableFile(f"{path} cannot be read: {getattr(error, 'strerror', error)}") from error
+    if not content:
+        raise UnreadableFile(f"{path.name} has {size} bytes; 1 to {_LARGEST_BYTES} are read")
     try:
         mesh = _parse(content, path.suffix.lower()[1:])
-    except _READER_ERRORS as error:
+    except READER_ERRORS as error:
         reason = f"{type(error).__name__}: {str(error)[:200]}"
         raise UnreadableFile(f"{path.name} is not a readable {path.suffix[1:].upper()} mesh ({reason})") from error
     try:
