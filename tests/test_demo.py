@@ -13,8 +13,10 @@ import trimesh
 from PIL import Image
 
 from gfp_grasp.assets import data_dir
+from gfp_grasp.camera import intrinsics, project
 from gfp_grasp.captures import complete_capture, read_capture
 from gfp_grasp.demo import run_demo
+from gfp_grasp.demo.attempt import _FRAME_PX, _camera
 from gfp_grasp.demo.page import write_page
 from gfp_grasp.demo.pictures import write_clip, write_depth
 from gfp_grasp.demo.props import CLUTTER, FILE, SINGLE, load_prop, pick_objects, read_parts, write_parts
@@ -22,7 +24,7 @@ from gfp_grasp.demo.recorded import table_frame
 from gfp_grasp.demo.story import HEADINGS, Item, Story, gripper_mesh, row
 from gfp_grasp.metrics import completion_errors
 from gfp_grasp.scenes.cache import mesh_sha256
-from gfp_grasp.transforms import apply_T, random_rotation
+from gfp_grasp.transforms import apply_T, make_T, random_rotation
 from gfp_grasp.types import CollisionMesh, ConvexPart, Grasp, TrueObject
 
 
@@ -175,3 +177,17 @@ def test_table_frame_stands_the_recording_on_the_table() -> None:
 def _reach(vertices: np.ndarray) -> np.ndarray:
     """Distances (v,) to the first vertex, which no motion changes."""
     return np.linalg.norm(vertices - vertices[0], axis=1)
+
+
+@pytest.mark.parametrize("alone", [True, False])
+@pytest.mark.parametrize("yaw_deg", range(0, 180, 30))
+def test_the_film_shows_both_jaws_and_the_whole_lift(alone: bool, yaw_deg: int) -> None:
+    closing = np.array([np.cos(np.radians(yaw_deg)), np.sin(np.radians(yaw_deg)), 0.0])
+    R = np.column_stack([np.cross(closing, (0, 0, -1)), closing, (0, 0, -1)])
+    camera = _camera(Grasp(make_T(R, (0, 0, 0.1)), 0.06), alone=alone)
+    width, height = _FRAME_PX
+    jaws = 0.03 * np.array([closing, -closing]) + (0, 0, 0.1)
+    lifted = np.concatenate([jaws, [[0, 0, 0.0], [0, 0, 0.1 + 0.2 + 0.16]]])
+    pixels, _ = project(lifted, intrinsics(width, height, 35.0), camera)
+    assert ((pixels > 0) & (pixels < (width, height))).all()
+    assert abs(pixels[0, 0] - pixels[1, 0]) > 0.06 * height  # seen from along the jaws there would be no gap

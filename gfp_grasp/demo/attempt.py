@@ -22,8 +22,12 @@ _NUM_GRASPS = 16
 _NEIGHBOUR_M = 0.15
 # 160 ms of simulation between two frames, which are shown for 80 ms each.
 _COMMANDS_A_FRAME = 16
-_FRAME_PX = (320, 240)
-_NEAR, _FAR = look_at((0.46, -0.40, 0.34), (0.0, 0.0, 0.13)), look_at((0.60, -0.52, 0.48), (0.0, 0.0, 0.15))
+_FRAME_PX = (400, 300)
+# The camera looks down by this much, from the front right unless the jaws close along its sight, and has the object in
+# view where it stands and the whole gripper at the top of the lift.
+_FRONT, _ELEVATION_RAD, _LOOK_AT_M = np.array([0.76, -0.65, 0.0]), np.deg2rad(20.0), 0.24
+_ALONE_M, _CLUTTER_M = 0.92, 1.0
+_UPRIGHT_JAWS = 0.3  # jaws that close with less than this along the level look the same from every side
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,7 +72,7 @@ def attempt(stage: Stage, grasp: Grasp, target: str, *, film: bool = False) -> t
     frames: list[np.ndarray] = []
     commands = 0
     width, height = _FRAME_PX
-    T_world_camera = _NEAR if len(stage.names) == 1 else _FAR
+    T_world_camera = _camera(grasp, alone=len(stage.names) == 1)
 
     def watch(data: object) -> None:
         nonlocal commands
@@ -79,3 +83,15 @@ def attempt(stage: Stage, grasp: Grasp, target: str, *, film: bool = False) -> t
     outcome = run_trial(stage.model, stage.data, grasp, target=target, on_step=watch if film else None)
     stage.restore()
     return outcome, frames
+
+
+def _camera(grasp: Grasp, *, alone: bool) -> np.ndarray:
+    """T_world_camera (4, 4) that looks across the closing axis, so that both jaws show."""
+    closing = grasp.T_world_gripper[:3, 1] * (1.0, 1.0, 0.0)
+    towards = _FRONT
+    if np.linalg.norm(closing) > _UPRIGHT_JAWS:
+        across = np.cross((0.0, 0.0, 1.0), closing / np.linalg.norm(closing))
+        towards = across if across @ _FRONT > 0 else -across
+    level, height = np.cos(_ELEVATION_RAD) * towards, np.array([0.0, 0.0, np.sin(_ELEVATION_RAD)])
+    target = np.array([0.0, 0.0, _LOOK_AT_M])
+    return look_at(target + (_ALONE_M if alone else _CLUTTER_M) * (level + height), target)

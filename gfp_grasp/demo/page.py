@@ -47,8 +47,8 @@ def write_page(stories: Sequence[Story], *, command: str, notes: Sequence[str] =
 <main>
 <h1>One depth view in, whole objects out</h1>
 <p class="lead">Each object below was seen from one side only. A primitive of its class was fitted and deformed to the
-points; the mesh is watertight and metric, its convex parts go to a simulator, and the best grasp planned on it was
-tried there.</p>
+points. The mesh is watertight, in metres, and comes with convex parts for a simulator. The best grasp planned on it was
+tried in MuJoCo: on the true object where there is one, on the completed parts elsewhere.</p>
 {sections}
 <footer>
 <p>Made by <code>{html.escape(command)}</code>.</p>
@@ -94,7 +94,8 @@ def _table(story: Story) -> str:
         kinds = ["word"] if heading in _WORDS else []
         if item and item.outcome and heading == "best grasp":
             kinds.append("held" if item.outcome.success else "failed")
-        return f'<{tag} class="{" ".join(kinds)}">{html.escape(text)}</{tag}>'
+        name = f' data-name="{html.escape(heading)}"' if item else ""  # narrow pages show it beside the figure
+        return f'<{tag} class="{" ".join(kinds)}"{name}>{html.escape(text)}</{tag}>'
 
     head = "".join(cell("th", heading, heading) for heading in HEADINGS)
     body = "".join(

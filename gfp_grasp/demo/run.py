@@ -63,14 +63,14 @@ def run_demo(
 
 def _simulated(out: Path, seed: int) -> list[tuple[str, Callable[[], Story]]]:
     def clutter() -> Story:
-        text = "Four objects of the held-out split, seen once through a simulated depth camera with its noise."
+        text = "Four objects that no training has met, seen once through a simulated depth camera with its noise."
         sources = pick_objects(CLUTTER, seed=seed)
         return simulated_story(
             "A clutter of four", text, sources, eye=EYES["clutter"], folder=out / "clutter", seed=seed
         )
 
     def single() -> Story:
-        text = "A mug of the same split. The camera sees one side of it."
+        text = "A mug that no training has met either. The camera sees one side of it."
         sources = pick_objects(SINGLE, seed=seed)
         return simulated_story("A single mug", text, sources, eye=EYES["single"], folder=out / "single", seed=seed)
 

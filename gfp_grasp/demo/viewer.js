@@ -71,8 +71,9 @@ class Viewer {
     this.floor = story.floor;
     // Several grippers would hide what they are about to grasp.
     this.shown = { points: true, completed: true, parts: false, truth: false, gripper: story.items.length === 1 };
-    this.azimuth = story.azimuth; this.elevation = 0.42;
+    this.start = story.azimuth;
     this.select(-1);
+    this.reset();
     this._listen();
   }
 
@@ -85,6 +86,11 @@ class Viewer {
     this.target = low.map((x, k) => (x + high[k]) / 2);
     this.radius = this.chosen.length === 1 ? this.chosen[0].reach : Math.hypot(...low.map((x, k) => high[k] - x)) / 2;
     this.zoom = 1;
+    this.draw();
+  }
+
+  reset() {
+    this.azimuth = this.start; this.elevation = 0.42; this.zoom = 1;
     this.draw();
   }
 
@@ -124,9 +130,10 @@ class Viewer {
     const [ca, sa, ce, se] = [Math.cos(this.azimuth), Math.sin(this.azimuth), Math.cos(this.elevation), Math.sin(this.elevation)];
     const back = [ce * ca, ce * sa, se], right = [-sa, ca, 0];
     const up = [-se * ca, -se * sa, ce];
-    const distance = (this.chosen.length === 1 ? 4.2 : 2.9) * this.radius / this.zoom;
+    const alone = this.chosen.length === 1, room = alone && this.shown.gripper ? 1 : 0; // the gripper stands out above
+    const distance = ((alone ? 4.2 : 2.9) + 2.2 * room) * this.radius / this.zoom;
     const focal = 1.62 * Math.min(w, 1.25 * h);
-    return { right, up, back, focal, at: this.target.map((x, k) => x + distance * back[k]) };
+    return { right, up, back, focal, at: this.target.map((x, k) => x + (k === 2 ? 0.4 * room * this.radius : 0) + distance * back[k]) };
   }
 
   _grid(frame) {
@@ -162,7 +169,7 @@ class Viewer {
     });
     for (const name of ["pointerup", "pointercancel"]) c.addEventListener(name, (e) => { touches.delete(e.pointerId); spread = 0; });
     c.addEventListener("wheel", (e) => { e.preventDefault(); this._zoomBy(Math.exp(-0.0012 * e.deltaY)); this.draw(true); rest(); }, { passive: false });
-    c.addEventListener("dblclick", () => { this.zoom = 1; this.draw(); });
+    c.addEventListener("dblclick", () => this.reset());
     c.addEventListener("keydown", (e) => {
       const steps = { ArrowLeft: [-12, 0], ArrowRight: [12, 0], ArrowUp: [0, -12], ArrowDown: [0, 12] };
       if (steps[e.key]) turn(...steps[e.key]);
