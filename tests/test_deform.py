@@ -1,7 +1,10 @@
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 import trimesh
+from scipy.spatial import KDTree
 from toy_primitive import random_cup, see, toy_cup_primitive
 
 from gfp_grasp.deform import DeformConfig, SnakeConfig, deform, evolve, template_points
@@ -9,7 +12,7 @@ from gfp_grasp.deform.gfpnet import PaperNet, PatchNet, make_network
 from gfp_grasp.deform.patches import NUM_SOURCE, NUM_TEMPLATE, blend, make_patches
 from gfp_grasp.deform.settle import damp_until_solid, diffuse
 from gfp_grasp.errors import InvalidOption
-from gfp_grasp.meshes import crossing_faces, sample_surface
+from gfp_grasp.meshes import crossing_faces, sample_surface, vertex_normals
 from gfp_grasp.register import FitConfig, fit_primitive
 
 
@@ -158,13 +161,35 @@ def test_diffusion_fills_small_gaps_and_dies_out_far_from_what_is_sure():
     assert np.abs(spread[primitive.vertices[:, 2] < 0.003]).max() < 0.0005
 
 
-def test_contour_stays_a_solid_and_near_the_fit(fitted):
+@pytest.mark.parametrize("method", ["gfs", "gfpnet", "gfpnet-paper"])
+def test_every_method_leaves_a_solid_that_is_near_the_fit(fitted, method):
     fit, detection, _ = fitted
-    deformed = deform(fit, detection, config=DeformConfig(method="gfs"))
+    deformed = deform(fit, detection, config=DeformConfig(method=method))
     mesh = trimesh.Trimesh(deformed.vertices, fit.primitive.faces, process=False)
     assert mesh.is_volume
     assert len(crossing_faces(deformed.vertices, fit.primitive.faces)) == 0
-    assert np.linalg.norm(deformed.vertices - fit.vertices_world(), axis=1).max() < 0.01
+    assert np.linalg.norm(deformed.vertices - fit.vertices_world(), axis=1).max() < 0.02
+
+
+def test_the_network_undoes_a_shift_that_is_seen(fitted):
+    """The fit pushed 2 mm towards the camera: where it is seen, the default network takes a quarter back at least."""
+    fit, detection, truth = fitted
+    step = detection.cloud.viewpoint - detection.cloud.points.mean(axis=0)
+    step = 0.002 * step / np.linalg.norm(step)
+    T = fit.T_world_object.copy()
+    T[:3, 3] += step
+    shifted = replace(fit, T_world_object=T)
+    moved = shifted.vertices_world()
+    sight = detection.cloud.viewpoint - moved
+    facing = np.einsum("vi,vi->v", vertex_normals(moved, fit.primitive.faces), sight) > 0.5 * np.linalg.norm(
+        sight, axis=1
+    )
+    seen = facing & (KDTree(detection.cloud.points).query(moved)[0] < 0.004)
+
+    def error(vertices):
+        return trimesh.proximity.closest_point(truth, vertices[seen])[1].mean()
+
+    assert error(deform(shifted, detection).vertices) < 0.75 * error(moved)
 
 
 def test_unknown_method_is_refused_with_the_legal_ones():
