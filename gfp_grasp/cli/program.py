@@ -3,6 +3,7 @@
 import os
 import sys
 from collections.abc import Sequence
+from typing import cast
 
 import typer
 from threadpoolctl import threadpool_limits
@@ -18,7 +19,9 @@ from gfp_grasp.errors import GfpGraspError
 
 _STOPPED = 130
 # Of the click package, or of the copy of it that newer typers bring: only the ancestor of this one is in both.
-_MistakeInWords = next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
+_MistakeInWords = cast(
+    type[typer.BadParameter], next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
+)
 
 app = typer.Typer(
     name="gfp-grasp",
