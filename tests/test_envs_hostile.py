@@ -191,7 +191,7 @@ def test_a_completion_that_cannot_be_simulated_fails_its_attempts_not_the_env(fo
 
 def test_the_docstring_tells_every_key_of_info_and_observation(env):
     observation, info = env.reset(seed=0)
-    text = GfpGraspEnv.__doc__
+    text = GfpGraspEnv.__doc__ or ""
     keys = {name for row in re.findall(r"^    \| ([a-z_, ]+?) \| ", text, re.MULTILINE) for name in row.split(", ")}
     assert keys - {"key", "entries"} == {*observation, *info}
 

@@ -321,3 +321,16 @@ def test_a_cut_cup_stays_hollow_and_a_box_stays_whole():
     assert len(cut_parts(trimesh.creation.box((0.05, 0.06, 0.1))).parts) == 1
     with pytest.raises(InvalidMesh, match="watertight"):
         cut_parts(trimesh.Trimesh(cup.vertices, cup.faces[5:]))
+
+
+def test_a_mug_too_winding_for_few_parts_gets_more_of_them_not_coacd(monkeypatch):
+    def too_slow(*_, **__):
+        raise AssertionError("CoACD takes half a minute")
+
+    monkeypatch.setenv(cache.CACHE_VARIABLE, "off")
+    monkeypatch.setattr("gfp_grasp.collision.decompose", too_slow)
+    mug = next(source for source in scenes.load_objects("mug") if source.name == "mug-57")
+    assert cut_parts(mug.load_mesh()).error_m[0] > 0.001
+    collision = mug.load().collision
+    assert collision.made_by == "cuts"
+    assert collision.error_m[0] < 0.0005

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 
 import numpy as np
 import trimesh
@@ -21,8 +22,10 @@ _VESSEL_FILL = 0.5
 _WALL_DENSITY = (900.0, 2400.0)  # kg/m3, plastic to stoneware
 _FILLED_DENSITY = (150.0, 1050.0)  # kg/m3, an almost empty to a full bottle, over its outer volume
 _MASS_KG = (0.02, 1.0)
-# What CoACD's default threshold leaves on thin cups and mugs: 0.4 to 0.9 mm mean, 1.3 to 3.0 mm at 95 %.
-_MEAN_ERROR_M, _ERROR_95_M = 0.001, 0.0035
+# Mean and 95 % error that end the search. What CoACD's default threshold leaves on thin cups and mugs is 0.4 to 0.9 mm
+# and 1.3 to 3.0 mm; few parts must do better, for more of them cost 2 s where CoACD takes half a minute.
+_FEW_PARTS, _FEW_ERROR_M = 96, (0.0005, 0.002)
+_MANY_PARTS, _MANY_ERROR_M = 256, (0.001, 0.0035)
 _FRICTION = (0.4, 1.0)  # rubber on wet plastic to rubber on dry stoneware
 
 
@@ -36,8 +39,9 @@ def true_object(
         name: Of the data set and the mesh, never a path.
         category: Class, or "" where it is unknown.
         rng: Draws mass (from the volume at a density that suits a vessel or a filled bottle) and friction.
-        decompose: Gives the convex parts; None cuts by planes (cutting.cut_parts) and, where that
-            leaves more than 1 mm mean error, runs collision.decompose; results are kept on disk by mesh.
+        decompose: Gives the convex parts; None cuts by planes (cutting.cut_parts) into up to 96 parts, where that
+            leaves more than 0.5 mm mean error into up to 256, and where that leaves more than 1 mm runs
+            collision.decompose; results are kept on disk by mesh.
 
     Returns:
         The object in its own frame: base at z = 0, the middle of its bounding box at x = y = 0 unless its own axis,
@@ -86,7 +90,9 @@ def rested(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 
 
 def _decompose_cached(mesh: trimesh.Trimesh) -> CollisionMesh:
-    return decompose_cached(mesh, _decompose, maker="cuts or coacd")
+    return decompose_cached(
+        mesh, _decompose, maker=f"cuts {_FEW_PARTS} {_FEW_ERROR_M}, {_MANY_PARTS} {_MANY_ERROR_M}, or coacd"
+    )
 
 
 def _decompose(mesh: trimesh.Trimesh) -> CollisionMesh:
@@ -94,11 +100,11 @@ def _decompose(mesh: trimesh.Trimesh) -> CollisionMesh:
     from gfp_grasp.collision import decompose
     from gfp_grasp.scenes.cutting import cut_parts
 
-    cuts = cut_parts(mesh)
-    if cuts.error_m[0] <= _MEAN_ERROR_M and cuts.error_m[1] <= _ERROR_95_M:
-        return cuts
-    try:
-        coacd = decompose(mesh)
-    except DecompositionFailed:
-        return cuts
-    return min(cuts, coacd, key=lambda collision: collision.error_m[0])
+    cuts = []
+    for max_parts, limit_m in ((_FEW_PARTS, _FEW_ERROR_M), (_MANY_PARTS, _MANY_ERROR_M)):
+        cuts.append(cut_parts(mesh, max_parts=max_parts))
+        if cuts[-1].error_m[0] <= limit_m[0] and cuts[-1].error_m[1] <= limit_m[1]:
+            return cuts[-1]
+    with suppress(DecompositionFailed):
+        cuts.append(decompose(mesh))
+    return min(cuts, key=lambda collision: collision.error_m[0])
