@@ -25,7 +25,7 @@ from gfp_grasp.errors import GfpGraspError, InvalidOption
 from gfp_grasp.scenes import load_objects
 from gfp_grasp.types import Outcome, TrueObject
 
-# Compiled scenes are kept for this many objects, at up to 7 MB each; making one anew takes 0.1 s.
+# Compiled scenes are kept for this many objects, at up to 10 MB each; making one anew takes 0.2 s.
 _KEPT_WORLDS = 16
 _RESET_OPTIONS = ("object", "completion")
 
