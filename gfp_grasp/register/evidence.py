@@ -157,7 +157,8 @@ def thin(points: np.ndarray, count: int) -> np.ndarray:
         cells = _cell_ids(points, origin, high)
     _, first, inverse, counts = np.unique(cells, return_index=True, return_inverse=True, return_counts=True)
     means = np.column_stack([np.bincount(inverse, points[:, axis]) for axis in range(3)]) / counts[:, None]
-    distance = np.linalg.norm(points - means[inverse], axis=1)
+    # To 10 nm: the two points of a cell are equally near its mean, and rounding must not choose between them.
+    distance = np.round(np.linalg.norm(points - means[inverse], axis=1), 8)
     order = np.lexsort((points[:, 2], points[:, 1], points[:, 0], distance, inverse))
     return points[order[np.searchsorted(inverse[order], np.arange(len(first)))]]
 

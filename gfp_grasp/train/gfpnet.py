@@ -19,7 +19,7 @@ from gfp_grasp.train.labels import Label, make_labels
 from gfp_grasp.train.loop import Batch, LoopConfig, shuffled, train, write_weights
 
 DEFAULTS: dict[Variant, LoopConfig] = {
-    "patch": LoopConfig(steps=2000, batch=16, rate=1e-3, decay=0.7, weight_decay=0.01),  # a batch of whole objects
+    "patch": LoopConfig(steps=4000, batch=16, rate=1e-3, decay=0.7, weight_decay=0.01),  # a batch of whole objects
     # The paper's optimiser, rate and batch; steps are ours.
     "paper-iterative": LoopConfig(steps=400, batch=256),
     "paper-oneshot": LoopConfig(steps=1500, batch=256),
