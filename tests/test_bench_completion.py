@@ -1,5 +1,7 @@
 """The bench of completions measures what it says."""
 
+from typing import Any
+
 import pytest
 
 from gfp_grasp.bench.completion import CompletionBench, _paired, bench_completion
@@ -9,14 +11,16 @@ from gfp_grasp.errors import InvalidOption
 def test_bench_measures_every_method_on_every_view_and_pairs_them_with_the_undeformed_fit():
     methods = ("partial", "registration", "gfs")
     report = bench_completion("bottle", methods=methods, config=CompletionBench(views=2, limit=1))
-    assert set(report["rows"]) == {"bottle", "all"}
+    rows: Any = report["rows"]
+    paired: Any = report["paired"]
+    assert set(rows) == {"bottle", "all"}
     for method in methods:
-        row = report["rows"]["bottle"][method]
+        row = rows["bottle"][method]
         assert row["views"] == 2
         assert row["failed"] == 0
         assert 0.001 < row["cd_m"] < 0.03
-    assert report["rows"]["all"]["registration"]["cd_m"] < report["rows"]["all"]["partial"]["cd_m"]
-    assert report["paired"]["all"]["gfs"]["pairs"] == 2
+    assert rows["all"]["registration"]["cd_m"] < rows["all"]["partial"]["cd_m"]
+    assert paired["all"]["gfs"]["pairs"] == 2
 
 
 def test_pairs_tell_gain_interval_and_wins():

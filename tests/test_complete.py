@@ -8,13 +8,13 @@ import trimesh
 
 from gfp_grasp import Completion, complete_scene, complete_to_mesh
 from gfp_grasp.camera import SensorModel, apply_sensor, cloud_of, intrinsics, render_mesh_view, sample_viewpoint
-from gfp_grasp.complete import CompleteConfig
+from gfp_grasp.complete import CompleteConfig, _sureness
 from gfp_grasp.errors import GfpGraspError, InvalidCloud, InvalidOption, InvalidView, TooFewPoints, UnknownCategory
-from gfp_grasp.meshes import crossing_faces
+from gfp_grasp.meshes import crossing_faces, load_mesh
 from gfp_grasp.metrics import chamfer_m, visible_surface
 from gfp_grasp.observation import canonical_frame, mark_observed, order_points
 from gfp_grasp.shapes import make_shape, split_seeds
-from gfp_grasp.transforms import apply_T, make_T, rotation_about
+from gfp_grasp.transforms import apply_T, look_at, make_T, rotation_about
 from gfp_grasp.types import DepthImage, Detection, OrientedBox, PointCloud
 
 
@@ -233,3 +233,20 @@ def test_real_captures_complete_in_the_cameras_frame():
         mug = complete_to_mesh(capture["object_points_cam"], viewpoint=(0, 0, 0), up=None, view=view)
     assert mug.category == "mug"
     assert mug.mesh.is_volume
+
+
+def test_torn_between_cup_and_mug_is_sure_and_between_cup_and_bottle_is_not():
+    assert _sureness({"cup": 0.5, "mug": 0.48, "bottle": 0.02}) == pytest.approx(0.98)
+    assert _sureness({"cup": 0.5, "mug": 0.02, "bottle": 0.48}) == pytest.approx(0.52)
+    assert _sureness({}) == 1.0
+
+
+@pytest.mark.parametrize("name", ["box__ycb_003_cracker_box", "can__ycb_005_tomato_soup_can", "plate__ycb_029_plate"])
+def test_a_real_object_of_no_known_class_is_completed_with_a_warning(name):
+    mesh = load_mesh(real_data.folder() / "meshes" / f"{name}.ply")
+    K, camera = intrinsics(320, 240, 35.0), look_at((0.45, 0.1, 0.4), mesh.bounds.mean(axis=0))
+    image, index = render_mesh_view([mesh], T_world_camera=camera, K=K, width=320, height=240, table_height=0.0)
+    cloud = cloud_of(image, index == 0)
+    with pytest.warns(UserWarning, match="no known class is likely"):
+        done = complete_to_mesh(cloud.points, viewpoint=cloud.viewpoint)
+    assert done.mesh.is_volume
