@@ -202,6 +202,8 @@ def _rest(vertices: np.ndarray, rng: np.random.Generator, config: ViewsConfig) -
 def _occlude(mask: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Cut off up to half of the pixels by a straight edge in a random direction."""
     rows, columns = np.nonzero(mask)
+    if len(rows) == 0:
+        return mask
     angle = rng.uniform(0, 2 * np.pi)
     along = rows * np.sin(angle) + columns * np.cos(angle)
     keep = along > np.quantile(along, rng.uniform(0.1, 0.5))
