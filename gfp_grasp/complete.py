@@ -194,8 +194,9 @@ def _detect(
     if viewpoint is None and view is not None:
         viewpoint = view.T_world_camera[:3, 3]
     if up is None:
-        return detect_single(points, viewpoint=viewpoint, up=None, support_height=support_height, view=view, mask=mask,
-                             category=category)  # fmt: skip
+        return detect_single(
+            points, viewpoint=viewpoint, up=None, support_height=support_height, view=view, mask=mask, category=category
+        )
     T_world_level = level_frame(points, up, viewpoint)
     T_level_world = invert_T(T_world_level)
     found = detect_single(

@@ -121,9 +121,7 @@ def mass_properties(
     return MassProperties(float(found.mass), np.array(found.center_mass), np.array(found.inertia))
 
 
-def _writer(
-    path: Path,
-) -> Callable[[trimesh.Trimesh, Sequence[Part], Path, str, MassProperties, np.ndarray], None] | None:
+def _writer(path: Path) -> _Writer | None:
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise InvalidOption(f"{path.name!r} ends in {suffix or 'no suffix'}; legal are {', '.join(SUFFIXES)}")

@@ -8,6 +8,15 @@ from scipy.spatial.transform import Rotation
 FLIP_YZ = np.diag([1.0, -1.0, -1.0, 1.0])
 
 
+# What float32 and rounded text leave of a rotation, and less than a tenth of a degree.
+_RIGID = 1e-3
+
+
+def is_rotation(R: np.ndarray) -> bool:
+    """Whether a finite (3, 3) matrix turns only: no scale, no shear, no mirror."""
+    return bool(np.allclose(R @ R.T, np.eye(3), atol=_RIGID) and np.linalg.det(R) > 0)
+
+
 def make_T(R: ArrayLike | None = None, t: ArrayLike | None = None) -> np.ndarray:
     """(4, 4) transform of a (3, 3) rotation and a (3,) translation, either of which may be left out."""
     T = np.eye(4)

@@ -14,6 +14,7 @@ import numpy as np
 import trimesh
 
 from gfp_grasp.errors import InvalidCloud, InvalidMesh, InvalidView
+from gfp_grasp.transforms import is_rotation
 
 OUTSIDE, INSIDE, HANDLE = 0, 1, 2
 REGION_NAMES = ("outside", "inside", "handle")
@@ -61,7 +62,7 @@ class DepthImage:
             raise InvalidView(f"focal lengths are {K[0, 0]}, {K[1, 1]} px; both must be positive")
         _freeze(self, "K", K)
         T = _matrix(self.T_world_camera, (4, 4), "T_world_camera", InvalidView)
-        if not np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-3) or np.linalg.det(T[:3, :3]) < 0:
+        if not is_rotation(T[:3, :3]):
             raise InvalidView("T_world_camera is no rigid motion: a rotation without scale or mirror is expected")
         _freeze(self, "T_world_camera", T)
 

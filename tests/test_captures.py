@@ -163,7 +163,7 @@ def test_an_archive_that_unpacks_to_more_than_is_read_is_refused_packed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     np.savez_compressed(tmp_path / "a.npz", points=np.zeros((100_000, 3)))
-    monkeypatch.setattr("gfp_grasp.captures.read._LARGEST_BYTES", 100_000)
+    monkeypatch.setattr("gfp_grasp.captures.read.LARGEST_BYTES", 100_000)
     assert (tmp_path / "a.npz").stat().st_size < 100_000
     with pytest.raises(UnreadableFile, match="unpacked"):
         read_capture(tmp_path / "a.npz")

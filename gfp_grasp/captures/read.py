@@ -16,14 +16,13 @@ from gfp_grasp.camera import cloud_of, view_from_points
 from gfp_grasp.captures.capture import Capture
 from gfp_grasp.captures.pcd import parse_pcd
 from gfp_grasp.errors import GfpGraspError, InvalidCloud, InvalidView, UnreadableFile
-from gfp_grasp.meshes.load import READER_ERRORS
+from gfp_grasp.meshes.load import LARGEST_BYTES, READER_ERRORS, read_content
 from gfp_grasp.transforms import apply_T
 from gfp_grasp.types import DepthImage
 
 SAMPLE, SAMPLE_FILE = "sample", "quickstart_mug.npz"
 SUFFIXES = (".npz", ".npy", ".ply", ".pcd", ".xyz", ".txt", ".csv", ".obj")
 KEYS = "points | object_points_cam | depth_m and K | points_cam"
-_LARGEST_BYTES = 1 << 30
 _Z_UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -61,7 +60,7 @@ def read_capture(path: str | Path) -> Capture:
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         raise UnreadableFile(f"{path.name}: suffix {path.suffix!r} is not among {', '.join(SUFFIXES)}")
-    content = _content(path)
+    content = read_content(path)
     if suffix == ".npz":
         return _of_keys(path.name, _arrays(path.name, content))
     if suffix == ".npy":
@@ -70,17 +69,6 @@ def read_capture(path: str | Path) -> Capture:
     readers = {".ply": _parse_ply, ".pcd": parse_pcd, ".obj": _parse_obj}
     points = _read(path.name, readers.get(suffix, _parse_table), content)
     return _of_keys(path.name, {"points": points})
-
-
-def _content(path: Path) -> bytes:
-    try:
-        size = path.stat().st_size
-        content = path.read_bytes() if 0 < size <= _LARGEST_BYTES else b""
-    except (OSError, ValueError) as error:  # a ValueError of a path with a null character
-        raise UnreadableFile(f"{path} cannot be read: {getattr(error, 'strerror', error)}") from error
-    if not content:
-        raise UnreadableFile(f"{path.name} has {size} bytes; 1 to {_LARGEST_BYTES} are read")
-    return content
 
 
 def _of_keys(name: str, arrays: Mapping[str, np.ndarray]) -> Capture:
@@ -168,8 +156,8 @@ def _arrays(name: str, content: bytes) -> dict[str, np.ndarray]:
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
             size = sum(entry.file_size for entry in archive.infolist())
-        if size > _LARGEST_BYTES:
-            raise ValueError(f"unpacked it has {size} bytes, at most {_LARGEST_BYTES} are read")
+        if size > LARGEST_BYTES:
+            raise ValueError(f"unpacked it has {size} bytes, at most {LARGEST_BYTES} are read")
         with np.load(io.BytesIO(content), allow_pickle=False) as file:  # a pickle could run anything
             return {key: file[key] for key in file.files}
     except (*READER_ERRORS, zipfile.BadZipFile) as error:

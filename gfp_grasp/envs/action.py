@@ -5,14 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 
 from gfp_grasp.errors import InvalidAction, InvalidOption
-from gfp_grasp.transforms import make_T
+from gfp_grasp.transforms import is_rotation, make_T
 from gfp_grasp.types import Grasp
 
 NUM_ACTION = 10
 # Actions come as float32, whose rounding may leave the box by this much.
 _ROUNDING = 1e-5
-# Axes may be off unit length and square by this much, which turns the grasp by less than a tenth of a degree.
-_RIGID = 1e-3
 # Shorter than this, a column has no direction.
 _SHORT = 1e-4
 
@@ -54,7 +52,7 @@ class ActionCode:
             InvalidAction: The grasp is outside of the workspace box, wider than max_width_m, or not rigid.
         """
         T = grasp.T_world_gripper
-        if not np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=_RIGID) or np.linalg.det(T[:3, :3]) < 0:
+        if not is_rotation(T[:3, :3]):
             raise InvalidAction(f"the rotation of T_world_gripper is no rotation:\n{T[:3, :3]}")
         position = (T[:3, 3] - self.centre_m) / self.half_m
         width = 2.0 * grasp.width_m / self.max_width_m - 1.0

@@ -15,7 +15,7 @@ import trimesh
 from gfp_grasp.errors import InvalidMesh, UnreadableFile
 
 SUFFIXES = (".obj", ".stl", ".ply", ".glb", ".off")
-_LARGEST_BYTES = 1 << 30
+LARGEST_BYTES = 1 << 30
 # What trimesh's readers are seen to raise on broken files; anything else would be our own mistake.
 READER_ERRORS = (
     ArithmeticError,
@@ -50,13 +50,7 @@ def load_mesh(path: str | Path) -> trimesh.Trimesh:
     path = Path(path)
     if path.suffix.lower() not in SUFFIXES:
         raise UnreadableFile(f"{path.name}: suffix {path.suffix!r} is not among {', '.join(SUFFIXES)}")
-    try:
-        size = path.stat().st_size
-        content = path.read_bytes() if 0 < size <= _LARGEST_BYTES else b""
-    except (OSError, ValueError) as error:  # a ValueError of a path with a null character
-        raise UnreadableFile(f"{path} cannot be read: {getattr(error, 'strerror', error)}") from error
-    if not content:
-        raise UnreadableFile(f"{path.name} has {size} bytes; 1 to {_LARGEST_BYTES} are read")
+    content = read_content(path)
     try:
         mesh = _parse(content, path.suffix.lower()[1:])
     except READER_ERRORS as error:
@@ -66,6 +60,22 @@ def load_mesh(path: str | Path) -> trimesh.Trimesh:
         return check_mesh(mesh)
     except InvalidMesh as error:
         raise InvalidMesh(f"{path.name}: {error}") from error
+
+
+def read_content(path: Path) -> bytes:
+    """All bytes of a file.
+
+    Raises:
+        UnreadableFile: Not there, empty, or larger than LARGEST_BYTES.
+    """
+    try:
+        size = path.stat().st_size
+        content = path.read_bytes() if 0 < size <= LARGEST_BYTES else b""
+    except (OSError, ValueError) as error:  # a ValueError of a path with a null character
+        raise UnreadableFile(f"{path} cannot be read: {getattr(error, 'strerror', error)}") from error
+    if not content:
+        raise UnreadableFile(f"{path.name} has {size} bytes; 1 to {LARGEST_BYTES} are read")
+    return content
 
 
 def check_mesh(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
