@@ -34,7 +34,6 @@ from gfp_grasp.types import (
     DepthImage,
     Detection,
     FittedPrimitive,
-    GenericPrimitive,
 )
 
 if TYPE_CHECKING:
@@ -223,6 +222,10 @@ def _complete(detection: Detection, config: CompleteConfig, seed: int) -> Comple
     fit = _best_fit(detection_here, config)
     clock.lap("register")
     deformed = deform(fit, detection_here, config=config.deform)
+    if deformed.kept < 1 or config.deform.method == "none":
+        solid = _solid(fit)  # a fit that crosses itself is a rare thing, and to know it takes time
+        if solid is not fit:
+            fit, deformed = solid, deform(solid, detection_here, config=config.deform)
     clock.lap("deform")
     observed, sigma = mark_observed(deformed.vertices, fit.primitive.faces, detection_here, deformed.sigma_m)
     vertices = deformed.vertices @ T_world_here[:3, :3].T + T_world_here[:3, 3]
@@ -253,7 +256,7 @@ def _best_fit(detection: Detection, config: CompleteConfig) -> FittedPrimitive:
     fit = min(fits, key=lambda f: f[:2])[2]
     if fit.primitive.twin is not None and config.handle_rule == "seen" and not handle_is_seen(fit, evidence):
         fit = _without_handle(fit)
-    return _solid(fit)
+    return fit
 
 
 def _candidates(scores: Mapping[str, float], category: str, rival_share: float) -> Sequence[str]:
@@ -273,15 +276,12 @@ def _without_handle(fit: FittedPrimitive) -> FittedPrimitive:
 
 def _solid(fit: FittedPrimitive) -> FittedPrimitive:
     """The fit with its modes drawn back towards the mean until its surface does not cross itself."""
-    primitive: GenericPrimitive = fit.primitive
-    coefficients = fit.coefficients
-    for _ in range(12):
+    primitive, coefficients = fit.primitive, fit.coefficients
+    for attempt in range(12):
         if len(crossing_faces(primitive.shape(coefficients, fit.scale), primitive.faces)) == 0:
-            break
+            return fit if attempt == 0 else replace(fit, coefficients=coefficients)
         coefficients = 0.75 * coefficients
-    else:
-        coefficients = np.zeros_like(coefficients)
-    return replace(fit, coefficients=coefficients)
+    return replace(fit, coefficients=np.zeros_like(coefficients))
 
 
 def _check_category(category: str | None) -> None:

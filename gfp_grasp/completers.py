@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from importlib import import_module
 
 import numpy as np
@@ -16,9 +16,20 @@ from gfp_grasp.deform import DeformConfig
 from gfp_grasp.errors import InvalidCloud, InvalidMesh, InvalidOption, UnknownCompleter
 from gfp_grasp.meshes import check_mesh, make_solid
 from gfp_grasp.observation import mark_observed
+from gfp_grasp.register import icp_config, pcrnet_config
 from gfp_grasp.types import CollisionMesh, CompletedShape, ConvexPart, Detection
 
-COMPLETERS = ("oracle", "observed", "mirror", "registration", "gfpnet")
+# Those of the package that register a primitive, by what they do with it.
+CONFIGS: Mapping[str, CompleteConfig] = {
+    "icp": CompleteConfig(fit=icp_config(), deform=DeformConfig(method="none")),
+    "pcrnet": CompleteConfig(fit=pcrnet_config(), deform=DeformConfig(method="none")),
+    "registration": CompleteConfig(deform=DeformConfig(method="none")),
+    "gfs": CompleteConfig(deform=DeformConfig(method="gfs")),
+    "gfpnet-oneshot": CompleteConfig(deform=DeformConfig(method="gfpnet-oneshot")),
+    "gfpnet-paper": CompleteConfig(deform=DeformConfig(method="gfpnet-paper")),
+    "gfpnet": CompleteConfig(),
+}
+COMPLETERS = ("oracle", "observed", "mirror", *CONFIGS)
 # These look at points alone, so that nobody has to load a network for them; a user's own may ask for the class.
 _BLIND_TO_CLASS = ("oracle", "observed", "mirror")
 
@@ -53,9 +64,11 @@ def completer(name: str) -> Completer:
 
     Args:
         name: `observed` (hull of what was seen), `mirror` (hull of the cloud and its reflection in the vertical plane
-            through its middle that faces the camera), `registration` (the fitted primitive, undeformed), `gfpnet`
-            (the package's method), `oracle` (the true mesh; see `Oracle`), or `package.module:function`, a function of
-            a Detection that returns a trimesh.Trimesh in the world frame or a Completion.
+            through its middle that faces the camera), `icp` and `pcrnet` (the mean primitive, placed rigidly),
+            `registration` (the fitted primitive, undeformed), that deformed by `gfs` (active contour),
+            `gfpnet-oneshot` or `gfpnet-paper` (the paper's networks) or `gfpnet` (the package's method), `oracle` (the
+            true mesh; see `Oracle`), or `package.module:function`, a function of a Detection that returns a
+            trimesh.Trimesh in the world frame or a Completion.
 
     Returns:
         A function of a detection; for `oracle` an `Oracle`, which takes the truth as well.
@@ -67,8 +80,7 @@ def completer(name: str) -> Completer:
         "oracle": Oracle(),
         "observed": complete_as_observed,
         "mirror": complete_by_mirror,
-        "registration": _complete_by_registration,
-        "gfpnet": complete_detection,
+        **{name: partial(complete_detection, config=config) for name, config in CONFIGS.items()},
     }
     if name in built_in:
         return built_in[name]
@@ -146,10 +158,6 @@ def mirrored_cloud(detection: Detection) -> np.ndarray:
     middle = max(edge, float(np.mean(np.quantile(depth, [0.01, 0.99]))))
     mirrored = points - 2.0 * (depth - middle)[:, None] * away
     return np.concatenate([points, mirrored])
-
-
-def _complete_by_registration(detection: Detection) -> Completion:
-    return complete_detection(detection, config=CompleteConfig(deform=DeformConfig(method="none")))
 
 
 def _hull_completion(points: np.ndarray, detection: Detection) -> Completion:

@@ -50,9 +50,7 @@ def completion_errors(
     """
     points = visible_surface(mesh, count, rng) if isinstance(mesh, trimesh.Trimesh) else _points(mesh, "mesh")
     target = visible_surface(truth, count, rng)
-    hull = mesh if isinstance(mesh, trimesh.Trimesh) else trimesh.PointCloud(points)
-    ratio = hull.convex_hull.volume / truth.convex_hull.volume
-    return CompletionErrors(chamfer_m(points, target), f_score(points, target), float(np.cbrt(ratio)) - 1.0)
+    return CompletionErrors(chamfer_m(points, target), f_score(points, target), scale_error(mesh, truth))
 
 
 def chamfer_m(a: np.ndarray, b: np.ndarray) -> float:
@@ -89,6 +87,17 @@ def f_score(a: np.ndarray, b: np.ndarray, threshold_m: float = 0.005) -> float:
     to_b, to_a = _nearest_m(a, b)
     precision, recall = float((to_b < threshold_m).mean()), float((to_a < threshold_m).mean())
     return 2 * precision * recall / (precision + recall) if precision + recall > 0 else 0.0
+
+
+def scale_error(mesh: trimesh.Trimesh | np.ndarray, truth: trimesh.Trimesh) -> float:
+    """Signed relative error of size: the cube root of the ratio of the convex hulls' volumes, less one.
+
+    Args:
+        mesh: Completed mesh, or points (n, 3) m.
+        truth: True mesh.
+    """
+    hull = mesh if isinstance(mesh, trimesh.Trimesh) else trimesh.PointCloud(_points(mesh, "mesh"))
+    return float(np.cbrt(hull.convex_hull.volume / truth.convex_hull.volume)) - 1.0
 
 
 def iou(mesh_a: trimesh.Trimesh, mesh_b: trimesh.Trimesh) -> float:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from gfp_grasp.complete import Completion
-from gfp_grasp.completers import COMPLETERS, completer
+from gfp_grasp.completers import completer
 from gfp_grasp.envs.grasp_env import GfpGraspEnv
 from gfp_grasp.envs.settings import TrialSettings
 from gfp_grasp.errors import GfpGraspError, InvalidMesh, InvalidOption
@@ -26,12 +26,13 @@ from gfp_grasp.scenes import ObjectSource, load_objects
 from gfp_grasp.types import Grasp
 
 ALL_CLASSES = "*"
+BRACKETED = ("observed", "mirror", "registration", "gfpnet", "oracle")
 Progress = Callable[[Iterable[Trial], int], Iterable[Trial]]
 
 
 def score(
     objects: str | Path,
-    completers: Sequence[str] = COMPLETERS,
+    completers: Sequence[str] = BRACKETED,
     *,
     views: int = 4,
     seed: int = 0,
@@ -218,4 +219,4 @@ def _errors(env: GfpGraspEnv, job: _Job) -> CompletionErrors | None:
     return completion_errors(episode.completion.mesh, truth, rng=np.random.default_rng(job.episode_seed))
 
 
-__all__ = ["ALL_CLASSES", "Report", "Trial", "score"]
+__all__ = ["ALL_CLASSES", "BRACKETED", "Report", "Trial", "score"]

@@ -4,7 +4,8 @@ from typing import Any
 
 import pytest
 
-from gfp_grasp.bench.completion import CompletionBench, _paired, bench_completion
+from gfp_grasp.bench.completion import CompletionBench, bench_completion
+from gfp_grasp.bench.summary import paired_gain
 from gfp_grasp.errors import InvalidOption
 
 
@@ -37,7 +38,7 @@ def test_pairs_tell_gain_interval_and_wins():
         row("b", 1, "registration", 0.006),
         row("b", 1, "gfpnet", 0.004),
     ]
-    paired = _paired(rows, "gfpnet")
+    paired = paired_gain(rows, "gfpnet", "registration")
     assert paired["gain_m"] == pytest.approx(0.001)
     assert paired["gain_share"] == pytest.approx(0.2)
     assert paired["wins"] == 0.75

@@ -6,9 +6,8 @@ from toy_primitive import random_cup, see, toy_cup_primitive
 from gfp_grasp.errors import FitDiverged, InvalidOption, TooFewPoints
 from gfp_grasp.meshes import sample_surface
 from gfp_grasp.metrics import chamfer_m
-from gfp_grasp.register import FitConfig, ModesConfig, fit_primitive, gather_evidence
+from gfp_grasp.register import FitConfig, ModesConfig, fit_primitive, gather_evidence, icp_config, pcrnet_config
 from gfp_grasp.register.evidence import estimate_normals, thin
-from gfp_grasp.register.icp import icp_primitive
 from gfp_grasp.transforms import apply_T, make_T, rotation_about
 from gfp_grasp.types import Detection, OrientedBox, PointCloud, SupportPlane
 
@@ -80,11 +79,14 @@ def test_scale_switched_off_leaves_scale_at_its_start_and_fits_worse():
     assert _error(full, truth) < _error(stiff, truth)
 
 
-def test_icp_keeps_scale_and_modes_of_the_mean():
+@pytest.mark.parametrize("rigid", [icp_config, pcrnet_config])
+def test_rigid_baselines_keep_scale_and_modes_of_the_mean(rigid):
     _, detection = see(random_cup(np.random.default_rng(5)), 3)
-    fit = icp_primitive(detection, toy_cup_primitive())
+    fit = fit_primitive(detection, toy_cup_primitive(), config=rigid())
     assert np.array_equal(fit.scale, np.ones(3))
     assert not fit.coefficients.any()
+    wide = fit_primitive(detection, toy_cup_primitive(), config=rigid(size=(1.1, 1.1, 0.9)))
+    assert np.allclose(wide.scale, (1.1, 1.1, 0.9))
 
 
 def test_few_points_are_refused():

@@ -1,8 +1,8 @@
 """Bench of completions: `gfp-grasp bench completion`.
 
-Each object is seen from random views (20 to 60 degrees up, 0.6 m away, 240x320, 35 degree field, 1 mm noise), turned
-by any yaw on a table of any height. A method is given the object's points and the viewpoint, and up; nothing else. Its
-answer is compared with 8192 samples of the true surface that can be seen from outside or through an opening.
+Each object is seen from random views (see views.py), turned by any yaw on a table of any height. A method is given the
+object's points and the viewpoint, and up; nothing else. Its answer is compared with 8192 samples of the true surface
+that can be seen from outside or through an opening.
 """
 
 from __future__ import annotations
@@ -10,29 +10,28 @@ from __future__ import annotations
 import hashlib
 import time
 import warnings
-from collections.abc import Callable, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 
 import numpy as np
 import trimesh
+from scipy.spatial import KDTree
+from scipy.stats import rankdata
 
-from gfp_grasp.camera import SensorModel, apply_sensor, cloud_of, intrinsics, render_mesh_view, sample_viewpoint
-from gfp_grasp.complete import CompleteConfig, complete_to_mesh
-from gfp_grasp.completers import complete_as_observed, mirrored_cloud
-from gfp_grasp.deform import DeformConfig
-from gfp_grasp.detect import detect_single
+from gfp_grasp.bench.methods import METHODS, UNDEFORMED, Answer, run_method
+from gfp_grasp.bench.summary import paired_gain, summary
+from gfp_grasp.bench.views import PROTOCOLS, Sight, in_sight, see
 from gfp_grasp.errors import GfpGraspError, InvalidOption
-from gfp_grasp.metrics import chamfer_m, f_score, visible_surface
+from gfp_grasp.meshes import sample_surface, vertex_normals
+from gfp_grasp.metrics import chamfer_m, f_score, iou, scale_error, visible_surface
 from gfp_grasp.parallel import pmap
-from gfp_grasp.register import FitConfig
+from gfp_grasp.primitives import list_primitives
 from gfp_grasp.scenes import load_objects
-from gfp_grasp.transforms import make_T, rotation_about
 
-METHODS = ("partial", "hull", "mirror", "registration", "gfs", "gfpnet-paper", "gfpnet", "gfpnet-pcrnet-start")
 _SAMPLES = 8192
-_UNDEFORMED = "registration"
-_RESAMPLINGS = 2000
+_WALL_M = 0.02  # a difference of normals of one unit counts like this distance
+_BACK_M = 0.01  # a point of the cloud this near says that the sensor saw the place: dropouts and boards do not
 
 
 @dataclass(frozen=True)
@@ -43,9 +42,10 @@ class CompletionBench:
         views: Views of each object.
         seed: Of views, noise and samples.
         split: Of the procedural families.
-        limit: Objects of a family or folder; None takes all.
+        limit: Objects; None takes all.
         give_category: Tell the methods the true class.
         noise_m: Standard deviation of the depth noise.
+        protocol: How objects stand and are seen, one of views.PROTOCOLS.
     """
 
     views: int = 16
@@ -54,10 +54,13 @@ class CompletionBench:
     limit: int | None = None
     give_category: bool = False
     noise_m: float = 0.001
+    protocol: str = "standard"
 
     def __post_init__(self) -> None:
         if self.views < 1:
             raise InvalidOption(f"views is {self.views}; at least 1 is expected")
+        if self.protocol not in PROTOCOLS:
+            raise InvalidOption(f"protocol is {self.protocol!r}; one of {', '.join(PROTOCOLS)} is expected")
 
 
 def bench_completion(
@@ -68,10 +71,10 @@ def bench_completion(
     workers: int = 1,
     progress=None,
 ) -> dict[str, object]:
-    """Measure completions of a procedural family, or of the cups, mugs and bottles of a folder of meshes.
+    """Measure completions of procedural families, or of the cups, mugs and bottles of a folder of meshes.
 
     Args:
-        objects: Family ("cup", "mug", "bottle", "all") or folder; of a folder, files whose name starts with a class
+        objects: Families ("cup", or "cup,mug,bottle") or a folder; of a folder, files whose name starts with a class
             that has no primitive are left out.
         methods: Some of METHODS.
         config: Views and noise.
@@ -79,10 +82,12 @@ def bench_completion(
         progress: Wraps the stream of finished views.
 
     Returns:
-        {"settings", "rows": {class: {method: {"cd_m", "f_score", "ms", "views", "failed"}}}, "paired": {class:
-        {method: {"gain_m", "ci95_m", "gain_share", "wins", "pairs"}}}, "trials": [...]}. Pairs set a method against
-        "registration", the same fit undeformed, on the same view: the mean of what it takes off the Chamfer distance,
-        its 95 % interval over objects (bootstrap), its share of the undeformed distance, and the share of views won.
+        {"settings", "rows": {class: {method: figures}}, "paired": {class: {method: gain}}, "trials": [...]}. Figures
+        are those of `summary`: Chamfer distance `cd_m`, `f_score` at 5 mm, `iou` of solids, the median of the size's
+        relative error, milliseconds; of the library's own answers also how much of what is marked as observed was
+        (`seen_precision`) and the other way round (`seen_recall`), the rank correlation of sigma with the true error
+        (`sigma_rank`) and the share of vertices within two sigma (`two_sigma`). Pairs set each of the package's
+        methods against "registration", the same fit undeformed, on the same view (see `paired_gain`).
 
     Raises:
         InvalidOption: An unknown method.
@@ -90,130 +95,95 @@ def bench_completion(
     unknown = set(methods) - set(METHODS)
     if unknown:
         raise InvalidOption(f"unknown methods {sorted(unknown)}; legal are {', '.join(METHODS)}")
-    sources = [
-        s
-        for s in load_objects(objects, split=config.split, limit=config.limit)
-        if s.category in ("cup", "mug", "bottle")
-    ]
+    classes = list_primitives()
+    sources = [s for s in load_objects(objects, split=config.split, limit=config.limit) if s.category in classes]
     jobs = [(source, view) for source in sources for view in range(config.views)]
-    trials = pmap(partial(_trial, methods=tuple(methods), config=config), jobs, workers=workers, progress=progress)
+    trials = pmap(partial(_trials, methods=tuple(methods), config=config), jobs, workers=workers, progress=progress)
     flat = [row for rows in trials for row in rows]
-    classes = sorted({row["category"] for row in flat})
-    rows = {
-        c: {m: _summary([r for r in flat if r["category"] == c and r["method"] == m]) for m in methods} for c in classes
+    by_class = {
+        c: [r for r in flat if c in ("all", r["category"])] for c in (*sorted({s.category for s in sources}), "all")
     }
-    rows["all"] = {m: _summary([r for r in flat if r["method"] == m]) for m in methods}
-    rivals = [m for m in methods if m != _UNDEFORMED and _UNDEFORMED in methods]
-    paired = {
-        c: {m: _paired([r for r in flat if c in ("all", r["category"])], m) for m in rivals} for c in (*classes, "all")
-    }
+    rivals = [m for m in methods if m.startswith(("gfs", "gfpnet")) and UNDEFORMED in methods]
     settings = {"objects": [s.name for s in sources], "samples": _SAMPLES, **asdict(config)}
-    return {"settings": settings, "rows": rows, "paired": paired, "trials": flat}
+    return {
+        "settings": settings,
+        "rows": {
+            c: {m: summary([r for r in rows if r["method"] == m]) for m in methods} for c, rows in by_class.items()
+        },
+        "paired": {c: {m: paired_gain(rows, m, UNDEFORMED) for m in rivals} for c, rows in by_class.items()},
+        "trials": flat,
+    }
 
 
-def _trial(job, *, methods: tuple[str, ...], config: CompletionBench) -> list[dict]:
+def _trials(job, *, methods: tuple[str, ...], config: CompletionBench) -> list[dict]:
     source, number = job
     name_seed = int.from_bytes(hashlib.sha256(source.name.encode()).digest()[:4], "little")
     rng = np.random.default_rng([config.seed, number, name_seed])
-    mesh, cloud = _see(source.load_mesh(), rng, config)
-    truth = visible_surface(mesh, _SAMPLES, rng)
+    sight = see(source.load_mesh(), rng, protocol=config.protocol, noise_m=config.noise_m)
+    truth = visible_surface(sight.mesh, _SAMPLES, rng)
     rows = []
     for method in methods:
+        row = {"object": source.name, "category": source.category, "view": number, "method": method}
         start = time.perf_counter()
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
-                points, category = _METHOD[method](cloud, source.category if config.give_category else None, rng)
-            row = {"cd_m": chamfer_m(points, truth), "f_score": f_score(points, truth), "class_found": category}
+                told = source.category if config.give_category else None
+                answer = run_method(method, sight, told, source.category)
+            row["ms"] = round(1000 * (time.perf_counter() - start), 1)
+            row |= _errors(answer, sight, truth, rng)
         except GfpGraspError as error:
-            row = {"cd_m": None, "f_score": 0.0, "error": type(error).__name__}
-        row |= {"ms": round(1000 * (time.perf_counter() - start), 1)}
-        rows.append({"object": source.name, "category": source.category, "view": number, "method": method, **row})
+            row["ms"] = round(1000 * (time.perf_counter() - start), 1)
+            row |= {"cd_m": None, "f_score": 0.0, "error": type(error).__name__}
+        rows.append(row)
     return rows
 
 
-def _see(mesh: trimesh.Trimesh, rng: np.random.Generator, config: CompletionBench):
-    height = float(rng.uniform(-0.3, 0.9))
-    low = float(mesh.bounds[0, 2])
-    T = make_T(rotation_about((0, 0, 1), rng.uniform(0, 2 * np.pi)), (0, 0, height - low))
-    placed = mesh.copy()
-    placed.apply_transform(T)
-    K = intrinsics(320, 240, 35.0)
-    camera = sample_viewpoint(rng, target=placed.bounds.mean(axis=0))
-    image, index = render_mesh_view([placed], T_world_camera=camera, K=K, width=320, height=240, table_height=height)
-    image = apply_sensor(image, SensorModel.gaussian(config.noise_m), rng)
-    return placed, cloud_of(image, (index == 0) & (image.depth_m > 0))
+def _errors(answer: Answer, sight: Sight, truth: np.ndarray, rng: np.random.Generator) -> dict[str, object]:
+    surface = answer.surface
+    points = visible_surface(surface, _SAMPLES, rng) if isinstance(surface, trimesh.Trimesh) else surface
+    row: dict[str, object] = {
+        "cd_m": _rounded(chamfer_m(points, truth), 7),
+        "f_score": _rounded(f_score(points, truth)),
+        "scale_error": _rounded(scale_error(surface, sight.mesh)),
+    }
+    if isinstance(surface, trimesh.Trimesh) and sight.mesh.is_volume and surface.is_volume:
+        row["iou"] = _rounded(iou(surface, sight.mesh))
+    if answer.completion is not None:
+        row["class_found"] = answer.completion.category
+        row |= _honesty(answer.completion, sight, rng)
+    return row
 
 
-def _partial(cloud, category, rng):
-    del category, rng
-    return cloud.points, ""
-
-
-def _detection(cloud, category):
-    return detect_single(cloud.points, viewpoint=cloud.viewpoint, up=np.array([0, 0, 1.0]), category=category)
-
-
-def _hull(cloud, category, rng):
-    return visible_surface(complete_as_observed(_detection(cloud, category)).mesh, _SAMPLES, rng), ""
-
-
-def _mirror(cloud, category, rng):
-    del rng
-    return mirrored_cloud(_detection(cloud, category)), ""
-
-
-def _completed(config: CompleteConfig) -> Callable:
-    def complete(cloud, category, rng):
-        done = complete_to_mesh(cloud.points, viewpoint=cloud.viewpoint, category=category, config=config)
-        return visible_surface(done.mesh, _SAMPLES, rng), done.category
-
-    return complete
-
-
-def _summary(rows: list[dict]) -> dict[str, object]:
-    errors = [r["cd_m"] for r in rows if r["cd_m"] is not None]
-    found = [r["class_found"] == r["category"] for r in rows if r.get("class_found")]
+def _honesty(completion, sight: Sight, rng: np.random.Generator) -> Mapping[str, object]:
+    """Whether `observed` and `sigma_m` say what is so."""
+    vertices, sigma_m, observed = (
+        np.asarray(a) for a in (completion.mesh.vertices, completion.sigma_m, completion.observed)
+    )
+    normals = vertex_normals(vertices, np.asarray(completion.mesh.faces))
+    points, true_normals, _ = sample_surface(sight.mesh, 4 * _SAMPLES, rng)
+    # A vertex belongs to the true surface that is near it and faces its way: walls are thin.
+    near = KDTree(np.hstack([points, _WALL_M * true_normals])).query(np.hstack([vertices, _WALL_M * normals]))[1]
+    viewpoint = sight.cloud.viewpoint
+    assert viewpoint is not None
+    seen = in_sight(sight.mesh, points[near], true_normals[near], viewpoint)
+    # In sight of the camera, and something came back from there.
+    seen &= KDTree(sight.cloud.points).query(points[near])[0] < _BACK_M
+    error_m = np.abs(np.einsum("ni,ni->n", points[near] - vertices, true_normals[near]))
+    both = float((seen & observed).sum())
     return {
-        "cd_m": round(float(np.mean(errors)), 5) if errors else None,
-        "cd_median_m": round(float(np.median(errors)), 5) if errors else None,
-        "f_score": round(float(np.mean([r["f_score"] for r in rows])), 4) if rows else None,
-        "class_found": round(float(np.mean(found)), 4) if found else None,
-        "ms": round(float(np.median([r["ms"] for r in rows])), 1) if rows else None,
-        "views": len(rows),
-        "failed": len(rows) - len(errors),
+        "seen_precision": _rounded(both / max(observed.sum(), 1)),
+        "seen_recall": _rounded(both / max(seen.sum(), 1)),
+        "sigma_rank": _rounded(_rank_correlation(sigma_m, error_m)),
+        "two_sigma": _rounded(float((error_m < 2 * sigma_m).mean())),
     }
 
 
-def _paired(rows: list[dict], method: str) -> dict[str, object]:
-    """What a method gains on the undeformed fit, view by view; the interval resamples whole objects."""
-    errors = {(r["object"], r["view"], r["method"]): r["cd_m"] for r in rows if r["cd_m"] is not None}
-    pairs = [(o, errors[o, v, _UNDEFORMED], e) for (o, v, m), e in errors.items() if m == method]
-    gains: dict[str, list[float]] = {}
-    for name, before, after in pairs:
-        gains.setdefault(name, []).append(before - after)
-    if not gains:
-        return {"pairs": 0}
-    sums, counts = (np.array([f(g) for g in gains.values()], dtype=float) for f in (np.sum, len))
-    drawn = np.random.default_rng(0).integers(len(gains), size=(_RESAMPLINGS, len(gains)))
-    low, high = np.quantile(sums[drawn].sum(axis=1) / counts[drawn].sum(axis=1), [0.025, 0.975])
-    gain = float(sums.sum() / counts.sum())
-    return {
-        "gain_m": round(gain, 6),
-        "ci95_m": [round(float(low), 6), round(float(high), 6)],
-        "gain_share": round(gain / float(np.mean([before for _, before, _ in pairs])), 4),
-        "wins": round(float(np.mean([after < before for _, before, after in pairs])), 4),
-        "pairs": len(pairs),
-    }
+def _rank_correlation(a: np.ndarray, b: np.ndarray) -> float:
+    """Spearman's; zero where either is constant."""
+    ranks = rankdata(a), rankdata(b)
+    return float(np.corrcoef(*ranks)[0, 1]) if min(np.ptp(r) for r in ranks) > 0 else 0.0
 
 
-_METHOD = {
-    "partial": _partial,
-    "hull": _hull,
-    "mirror": _mirror,
-    "registration": _completed(CompleteConfig(deform=DeformConfig(method="none"))),
-    "gfs": _completed(CompleteConfig(deform=DeformConfig(method="gfs"))),
-    "gfpnet-paper": _completed(CompleteConfig(deform=DeformConfig(method="gfpnet-paper"))),
-    "gfpnet": _completed(CompleteConfig()),
-    "gfpnet-pcrnet-start": _completed(CompleteConfig(fit=FitConfig(start="pcrnet"))),
-}
+def _rounded(value: float, decimals: int = 5) -> float:
+    return round(float(value), decimals)

@@ -16,27 +16,32 @@ bench = typer.Typer(name="bench", help="Measure detection, registration and comp
 @bench.command()
 def completion(
     objects: Objects,
-    methods: Annotated[str | None, typer.Option(help="Names with commas between; left out, all.")] = None,
+    methods: Annotated[str, typer.Option(help="Names with commas between; brief; or all.")] = "brief",
     views: Annotated[int, typer.Option(min=1, help="Of each object.")] = 16,
     split: Split = "test",
     limit: Limit = None,
     given: Annotated[bool, typer.Option("--given-category", help="Tell the methods the true class.")] = False,
     noise_m: Annotated[float, typer.Option(min=0.0, help="Standard deviation of the depth noise.")] = 0.001,
+    protocol: Annotated[str, typer.Option(help="standard, noisy, fallen or hidden.")] = "standard",
     workers: Workers = 1,
     json_file: JsonFile = None,
+    picture: Annotated[Path | None, typer.Option(dir_okay=False, help="Draw the rows to this .svg file.")] = None,
     seed: Seed = 0,
 ) -> None:
-    """Chamfer distance and F-score of completions against the truth, on random views."""
-    from gfp_grasp.bench.completion import METHODS, CompletionBench, bench_completion
+    """Completions against the truth, on random views."""
+    from gfp_grasp.bench.chart import write_chart
+    from gfp_grasp.bench.completion import CompletionBench, bench_completion
+    from gfp_grasp.bench.methods import BRIEF, METHODS
 
-    chosen = tuple(methods.split(",")) if methods else METHODS
-    config = CompletionBench(views, seed, split, limit, given, noise_m)
+    named = {"all": METHODS, "brief": BRIEF}
+    chosen = named[methods] if methods in named else tuple(methods.split(","))
+    config = CompletionBench(views, seed, split, limit, given, noise_m, protocol)
     report = bench_completion(objects, methods=chosen, config=config, workers=workers, progress=track("views"))
     rows = report["rows"]
     assert isinstance(rows, Mapping)
     for category, figures in rows.items():
         table(
-            ("method", "CD, mm", "F at 5 mm", "ms", "views", "failed"),
+            ("method", "CD, mm", "F at 5 mm", "IoU", "size", "ms", "views", "failed"),
             [(name, *_figures(row)) for name, row in figures.items()],
             title=str(category),
         )
@@ -51,6 +56,24 @@ def completion(
     if gains:
         headings = ("class", "method", "gain, mm", "95 % interval", "gain", "views won")
         table(headings, gains, title="against the same fit undeformed", words=2)
+    if picture is not None:
+        write_chart(rows, picture, title=f"Completion, {protocol} views")
+    save_json(json_file, report)
+
+
+@bench.command()
+def speed(
+    objects: Objects = "cup,mug,bottle",
+    limit: Limit = 30,
+    calls: Annotated[int, typer.Option(min=0, help="Completions that memory is watched over.")] = 0,
+    json_file: JsonFile = None,
+    seed: Seed = 0,
+) -> None:
+    """Milliseconds by stage, registrations beside each other, and memory over many calls."""
+    from gfp_grasp.bench.speed import bench_speed
+
+    report = bench_speed(objects, limit=limit or 30, calls=calls, seed=seed, progress=track("clouds"))
+    out.print_json(json.dumps(report))
     save_json(json_file, report)
 
 
@@ -111,13 +134,8 @@ def _gain(paired: Mapping) -> tuple[str, ...]:
 
 
 def _figures(row: Mapping) -> tuple[str, ...]:
-    millimetres = row.get("cd_m")
-    cd = "" if millimetres is None else f"{1000 * millimetres:.2f}"
-    score, time_ms = row.get("f_score"), row.get("ms")
-    return (
-        cd,
-        "" if score is None else f"{score:.3f}",
-        "" if time_ms is None else f"{time_ms:.0f}",
-        str(row.get("views", "")),
-        str(row.get("failed", "")),
-    )
+    def text(key: str, style: str, factor: float = 1.0) -> str:
+        return "" if row.get(key) is None else format(factor * row[key], style)
+
+    errors = (text("cd_m", ".2f", 1000), text("f_score", ".3f"), text("iou", ".3f"), text("scale_error_median", ".1%"))
+    return (*errors, text("ms", ".0f"), str(row["views"]), str(row["failed"]))

@@ -52,12 +52,14 @@ def within_parts(points: np.ndarray, parts: Sequence[ConvexPart], *, margin_m: f
         (n, p) bool.
     """
     within = np.zeros((len(points), len(parts)), dtype=bool)
-    for index, part in enumerate(parts):
-        low, high = part.vertices.min(0) - margin_m, part.vertices.max(0) + margin_m
-        near = np.flatnonzero(((points >= low) & (points <= high)).all(axis=1))
-        if len(near):
-            normals, offsets = _planes(part)
-            within[near, index] = (points[near] @ normals.T - offsets).max(axis=1) <= margin_m
+    if not parts:
+        return within
+    low, high = (np.stack([end(part.vertices, axis=0) for part in parts]) for end in (np.min, np.max))
+    near_box = np.all((points[:, None] >= low - margin_m) & (points[:, None] <= high + margin_m), axis=2)
+    normals, offsets, bounds = _planes(parts)
+    for index in np.flatnonzero(near_box.any(axis=0)):
+        near, own = np.flatnonzero(near_box[:, index]), slice(bounds[index], bounds[index + 1])
+        within[near, index] = (points[near] @ normals[own].T - offsets[own]).max(axis=1) <= margin_m
     return within
 
 
@@ -77,11 +79,15 @@ def _outward(points: np.ndarray, hull: ConvexHull) -> np.ndarray:
     return number[faces]
 
 
-def _planes(part: ConvexPart) -> tuple[np.ndarray, np.ndarray]:
-    """Unit outward normals (q, 3) and offsets (q,) m of the faces."""
-    triangles = part.vertices[part.faces]
+def _planes(parts: Sequence[ConvexPart]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Unit outward normals (q, 3) and offsets (q,) m of all faces, and where those of each part begin (p + 1,)."""
+    triangles = np.concatenate([part.vertices[part.faces] for part in parts])
+    owner = np.repeat(np.arange(len(parts)), [len(part.faces) for part in parts])
     across = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
     length = np.linalg.norm(across, axis=1)
-    solid = length > 1e-9 * length.max()  # the direction of a needle is rounding only
+    longest = np.zeros(len(parts))
+    np.maximum.at(longest, owner, length)
+    solid = length > 1e-9 * longest[owner]  # the direction of a needle is rounding only
     normals = across[solid] / length[solid, None]
-    return normals, np.einsum("ij,ij->i", normals, triangles[solid, 0])
+    bounds = np.searchsorted(owner[solid], np.arange(len(parts) + 1))
+    return normals, np.einsum("ij,ij->i", normals, triangles[solid, 0]), bounds

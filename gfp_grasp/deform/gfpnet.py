@@ -17,6 +17,7 @@ import math
 from functools import lru_cache
 from typing import Literal
 
+import numpy as np
 import torch
 from safetensors.torch import load_file
 from torch import Tensor, nn
@@ -25,23 +26,33 @@ from gfp_grasp.assets import data_file
 from gfp_grasp.deform.patches import PULL_M, UNIT_M
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.register.pcrnet import mlp
+from gfp_grasp.shapes import FAMILIES
+from gfp_grasp.types import HANDLE, FittedPrimitive, GenericPrimitive
 
 PULL = 8  # numbers that say where template points want a source point
 PLACE = 10  # numbers that say where a patch is
+MODES = 24  # of a primitive that the network knows
+FIT = MODES + 3 + len(FAMILIES) + 1  # numbers that say what was fitted
+CHANGE = MODES + 6  # numbers that change a fit: modes, log scale, translation
 _STEP = PULL_M / UNIT_M  # unit of the answer: a network is slow to learn numbers far smaller than its others
 
 Variant = Literal["patch", "paper-iterative", "paper-oneshot"]
 
 
 class PatchNet(nn.Module):
-    """Offset and log standard deviation of every source point of every patch of an object."""
+    """Offset and log standard deviation of every source point of every patch of an object, and a change of its fit.
+
+    What the patches of an object say together is answered in the primitive's own terms, modes, scale and place, which
+    reach the hidden side; what each of them sees, in offsets of its points.
+    """
 
     def __init__(self, width: int = 128, *, layers: int = 2) -> None:
         super().__init__()
         self.source = mlp(6 + PULL, width, width)
         self.template = mlp(7, width // 2, width, width)
         self.place = mlp(PLACE, width, width)
-        self.code = nn.Linear(3 * width, width)
+        self.fit = mlp(FIT, width, width)
+        self.code = nn.Linear(4 * width, width)
         block = nn.TransformerEncoderLayer(
             width, 4, 2 * width, dropout=0.0, activation="gelu", batch_first=True, norm_first=True
         )
@@ -51,6 +62,10 @@ class PatchNet(nn.Module):
         nn.init.zeros_(last.weight)
         with torch.no_grad():
             last.bias.copy_(torch.tensor([0.0, 0.0, 0.0, 0.0, -0.5]))
+        change = nn.Linear(width, CHANGE)
+        self.change = nn.Sequential(mlp(2 * width, width, width), change)
+        nn.init.zeros_(change.weight)
+        nn.init.zeros_(change.bias)
 
     def forward(
         self,
@@ -61,7 +76,8 @@ class PatchNet(nn.Module):
         carried: Tensor,
         pull: Tensor,
         place: Tensor,
-    ) -> tuple[Tensor, Tensor]:
+        fit: Tensor,
+    ) -> tuple[Tensor, Tensor, Tensor]:
         """Deform all patches of some objects.
 
         Args:
@@ -72,9 +88,11 @@ class PatchNet(nn.Module):
             carried: (o, p, m), 1 where symmetry brought the point.
             pull: (o, p, n, c) as in `Patches`.
             place: (o, p, c) as in `Patches`; its last channel is the share of template points that the patch sees.
+            fit: (o, c) as of `fit_features`.
 
         Returns:
-            Offsets (o, p, n, 3) and the logarithm of their standard deviation (o, p, n), same unit.
+            Offsets (o, p, n, 3), the logarithm of the standard deviation (o, p, n), same unit, of where both changes
+            together lead, and the change (o, CHANGE) of the fit, as `mode_field` reads it.
         """
         o, p, n, _ = source.shape
         sees = (place[..., -1] > 0).flatten()[:, None]
@@ -83,11 +101,48 @@ class PatchNet(nn.Module):
         pooled_t = torch.where(sees, t.amax(dim=1), 0.0)
         # The mean, not the largest, of the source: it is the same for any number of points.
         own = torch.cat([s.mean(dim=1), pooled_t], dim=-1).view(o, p, -1)
-        code = self.exchange(self.code(torch.cat([own, self.place(place)], dim=-1))).flatten(0, 1)
+        whole = self.fit(fit)
+        here = torch.cat([own, self.place(place), whole[:, None].expand(-1, p, -1)], dim=-1)
+        codes = self.exchange(self.code(here))
+        change = self.change(torch.cat([codes.mean(dim=1), whole], dim=-1)).float()
+        code = codes.flatten(0, 1)
         out = self.decode(torch.cat([s, code[:, None].expand(-1, n, -1)], dim=-1)).float().view(o, p, n, 5)
         # Most of it is along the normal, which need not be learnt for every direction anew.
         offset = out[..., :3] + out[..., 3:4] * source_normals
-        return _STEP * offset, out[..., 4] + math.log(_STEP)
+        return _STEP * offset, out[..., 4] + math.log(_STEP), change
+
+
+def fit_features(fit: FittedPrimitive, *, known: bool = True) -> np.ndarray:
+    """What the network is told of a fit as a whole, (FIT,): modes, log scale, class, and whether there is a handle.
+
+    Of a primitive that it does not know (known is False) modes and class mean nothing to it.
+    """
+    features = np.zeros(FIT)
+    features[MODES : MODES + 3] = np.log(fit.scale)
+    if known:
+        count = min(MODES, len(fit.coefficients))
+        features[:count] = 0.5 * fit.coefficients[:count]
+        features[MODES + 3 + FAMILIES.index(fit.primitive.category)] = 1.0
+    features[-1] = float((fit.primitive.regions == HANDLE).any())
+    return features
+
+
+def change_units() -> np.ndarray:
+    """(CHANGE,) standard deviations, log scale and metres that one unit of a change is."""
+    return np.concatenate([np.full(MODES, 0.3), np.full(3, 0.02), np.full(3, PULL_M)])
+
+
+def mode_field(fit: FittedPrimitive, change: np.ndarray, *, known: bool = True) -> np.ndarray:
+    """Displacement (v, 3) m of a fit's vertices, in the primitive's frame, by a change (CHANGE,) of it, to first order.
+
+    The modes of a primitive that the network does not know stay as they are.
+    """
+    change = change * change_units()
+    field = fit.primitive.shape(fit.coefficients, fit.scale) * change[MODES : MODES + 3] + change[MODES + 3 :]
+    if known:
+        count = min(MODES, len(fit.coefficients))
+        field = field + fit.scale * np.tensordot(change[:count], fit.primitive.modes[:count], axes=1)
+    return field
 
 
 class PaperNet(nn.Module):
@@ -152,3 +207,8 @@ def load_network(variant: Variant) -> nn.Module:
 def load_card(variant: Variant) -> dict[str, object]:
     """How the shipped weights came to be: command, seed, data, hours, metrics, sha256."""
     return json.loads(data_file("weights", f"{WEIGHTS[variant]}.json").read_text())
+
+
+def knows(variant: Variant, primitive: GenericPrimitive) -> bool:
+    """Whether the shipped network was trained on this very primitive: the modes of another one mean something else."""
+    return primitive.card.get("sha256") in dict(load_card(variant).get("primitives", {})).values()  # type: ignore[call-overload]

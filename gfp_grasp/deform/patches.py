@@ -70,7 +70,7 @@ def make_patches(
         template: T, in the same frame, at least one point.
         viewpoint: (3,) m, same frame, or None.
     """
-    index, weights = _layout(primitive)
+    index, weights = patch_layout(primitive)
     normals = vertex_normals(vertices, primitive.faces)
     centre, axis = vertices[index[:, 0]], normals[index[:, 0]]
     frames = _frames(axis)
@@ -122,7 +122,7 @@ def blend(patches: Patches, moved: np.ndarray, num_vertices: int) -> tuple[np.nd
 
 
 @lru_cache(maxsize=32)
-def _layout(primitive: GenericPrimitive) -> tuple[np.ndarray, np.ndarray]:
+def patch_layout(primitive: GenericPrimitive) -> tuple[np.ndarray, np.ndarray]:
     """Vertices (b, n) of each patch, its centre first, and blending weights: farthest-point centres on the mean."""
     vertices, normals = primitive.vertices, vertex_normals(primitive.vertices, primitive.faces)
     features = np.hstack([vertices, _NORMAL_LENGTH_M * normals])

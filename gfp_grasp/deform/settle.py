@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import lru_cache
 
 import numpy as np
@@ -23,10 +24,17 @@ def diffuse(primitive: GenericPrimitive, displacement: np.ndarray, confidence: n
 
     Minimises the confident misfit and the bending of the displacement: sum c |d - d0|^2 + s |L d|^2.
     """
-    L = laplacian(primitive.faces, len(displacement))
-    weight = sparse.diags(np.maximum(confidence, 1e-3))
-    solve = factorized(sparse.csc_matrix(weight + _STIFFNESS * (L.T @ L)))
-    return np.column_stack([solve(np.maximum(confidence, 1e-3) * column) for column in displacement.T])
+    confidence = np.maximum(confidence, 1e-3)
+    solve = _diffuser(primitive, confidence.tobytes())
+    return np.column_stack([solve(confidence * column) for column in displacement.T])
+
+
+@lru_cache(maxsize=8)
+def _diffuser(primitive: GenericPrimitive, confidence_bytes: bytes) -> Callable[[np.ndarray], np.ndarray]:
+    """The factorised system of one primitive and confidence: the default network's is the same for every fit."""
+    confidence = np.frombuffer(confidence_bytes)
+    L = laplacian(primitive.faces, len(confidence))
+    return factorized(sparse.csc_matrix(sparse.diags(confidence) + _STIFFNESS * (L.T @ L)))
 
 
 def damp_until_solid(vertices: np.ndarray, faces: np.ndarray, displacement: np.ndarray) -> tuple[np.ndarray, float]:

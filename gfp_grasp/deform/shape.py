@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, get_args
 
 import numpy as np
 from scipy.spatial import KDTree
@@ -16,7 +16,8 @@ from gfp_grasp.errors import InvalidOption
 from gfp_grasp.transforms import apply_T, invert_T
 from gfp_grasp.types import Detection, FittedPrimitive
 
-METHODS = ("gfpnet", "gfpnet-paper", "gfpnet-oneshot", "gfs", "none")
+Method = Literal["gfpnet", "gfpnet-paper", "gfpnet-oneshot", "gfs", "none"]
+METHODS: tuple[Method, ...] = get_args(Method)
 
 
 @dataclass(frozen=True)
@@ -31,7 +32,7 @@ class DeformConfig:
         snake: Energies of gfs.
     """
 
-    method: Literal["gfpnet", "gfpnet-paper", "gfpnet-oneshot", "gfs", "none"] = "gfpnet"
+    method: Method = "gfpnet"
     symmetry: bool = True
     iterations: int | None = None
     snake: SnakeConfig = field(default_factory=SnakeConfig)
@@ -85,8 +86,9 @@ def deform(fit: FittedPrimitive, detection: Detection, *, config: DeformConfig =
         here = None if viewpoint is None else apply_T(invert_T(fit.T_world_object), viewpoint)
         patches = make_patches(primitive, vertices, template, here)
         if config.method == "gfpnet":
-            offsets, log_sigma = _per_point(patches)
+            offsets, log_sigma, field = _per_point(patches, fit)
             displacement, weight = blend(patches, offsets, len(vertices))
+            displacement += field
             sigma = _blend_sigma(patches, log_sigma, len(vertices))
         else:
             patches = patches.seeing()
@@ -99,16 +101,18 @@ def deform(fit: FittedPrimitive, detection: Detection, *, config: DeformConfig =
     return Deformed(apply_T(fit.T_world_object, moved), sigma, kept)
 
 
-def _per_point(patches: Patches) -> tuple[np.ndarray, np.ndarray]:
-    """Offsets (b, n, 3) in patch units and log sigma (b, n)."""
+def _per_point(patches: Patches, fit: FittedPrimitive) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Offsets (b, n, 3) in patch units, log sigma (b, n), and the displacement (v, 3) m by the change of the fit."""
     import torch
 
-    from gfp_grasp.deform.gfpnet import load_network
+    from gfp_grasp.deform.gfpnet import fit_features, knows, load_network, mode_field
 
-    network = load_network("patch")
+    network, known = load_network("patch"), knows("patch", fit.primitive)
+    features = torch.tensor(fit_features(fit, known=known)[None], dtype=torch.float32)
     with torch.inference_mode():
-        offsets, log_sigma = network(*(part[None] for part in patch_tensors(patches)))
-    return offsets[0].double().numpy(), log_sigma[0].double().numpy()
+        offsets, log_sigma, change = network(*(part[None] for part in patch_tensors(patches)), features)
+    field = mode_field(fit, change[0].double().numpy(), known=known)
+    return offsets[0].double().numpy(), log_sigma[0].double().numpy(), field
 
 
 def _paper(patches: Patches, config: DeformConfig) -> np.ndarray:

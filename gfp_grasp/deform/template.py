@@ -32,7 +32,7 @@ class TemplatePoints:
 
 
 def template_points(
-    fit: FittedPrimitive, detection: Detection, *, symmetry: bool = True, num_points: int = 1500
+    fit: FittedPrimitive, detection: Detection, *, symmetry: bool = True, num_points: int = 1000
 ) -> TemplatePoints:
     """Observed points with normals in the fit's own frame, and their mirror images where nothing was seen.
 
@@ -45,7 +45,7 @@ def template_points(
         symmetry: Carry points to the hidden side.
         num_points: About how many observed points are kept.
     """
-    dense = thin(detection.cloud.points, 5000)
+    dense = thin(detection.cloud.points, 4000)
     seen = thin(dense, num_points)
     normals = estimate_normals(dense, seen, detection.cloud.viewpoint)
     R, t = fit.T_world_object[:3, :3], fit.T_world_object[:3, 3]

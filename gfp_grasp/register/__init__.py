@@ -1,8 +1,19 @@
-"""Registration of a primitive onto one view: PCRNet's start, then scale and modes by robust least squares."""
+"""Registration of a primitive onto one view: starts, then pose, scale and modes by robust least squares."""
 
 from gfp_grasp.register.evaluate import handle_is_seen
 from gfp_grasp.register.evidence import Evidence, gather_evidence
 from gfp_grasp.register.fit import FitConfig, fit_evidence, fit_primitive
-from gfp_grasp.register.modes import ModesConfig
+from gfp_grasp.register.icp import icp_config, pcrnet_config
+from gfp_grasp.register.state import ModesConfig
 
-__all__ = ["Evidence", "FitConfig", "ModesConfig", "fit_evidence", "fit_primitive", "gather_evidence", "handle_is_seen"]
+__all__ = [
+    "Evidence",
+    "FitConfig",
+    "ModesConfig",
+    "fit_evidence",
+    "fit_primitive",
+    "gather_evidence",
+    "handle_is_seen",
+    "icp_config",
+    "pcrnet_config",
+]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import ndimage
@@ -13,6 +13,8 @@ from gfp_grasp.transforms import apply_T, invert_T, look_at
 from gfp_grasp.types import DepthImage, Detection
 
 MIN_POINTS = 20
+# Median depth of unseen foot of cups, mugs and bottles (seeds of the validation split), by the sine of the elevation.
+_FOOT_M = 0.004
 
 # A surface may lie this far in front of a return before the ray to the return contradicts it: sensor noise at 1 m.
 _FREE_MARGIN_M = 0.006
@@ -74,6 +76,7 @@ class Evidence:
         up: (3,) unit.
         floor_m: Height along up that the object's lowest point has, as far as known.
         floor_sigma_m: How sure that is, for a surface that ends above it and one that ends below it.
+        floor_seen: Whether a support was seen; else an occluder may hide how much farther down the object goes.
         silhouette: Or None without a viewpoint.
         sigma_m: Standard deviation of the points' noise.
     """
@@ -85,8 +88,16 @@ class Evidence:
     up: np.ndarray
     floor_m: float
     floor_sigma_m: tuple[float, float]
+    floor_seen: bool
     silhouette: Silhouette | None
     sigma_m: float
+
+    def few(self, count: int) -> Evidence:
+        """The same with at most count of its points, always the same ones, drawn without order."""
+        if len(self.points) <= count:
+            return self
+        drawn = np.sort(np.random.default_rng(0).permutation(len(self.points))[:count])
+        return replace(self, points=self.points[drawn], normals=self.normals[drawn])
 
 
 def gather_evidence(detection: Detection, *, num_points: int = 400) -> Evidence:
@@ -106,12 +117,10 @@ def gather_evidence(detection: Detection, *, num_points: int = 400) -> Evidence:
     dense = thin(points, 4000)
     sparse = thin(dense, num_points)
     normals = estimate_normals(dense, sparse, viewpoint)
-    heights = dense @ detection.up
     if detection.support is not None:
         floor, floor_sigma = detection.support.height_m, (0.002, 0.002)
     else:
-        # The lowest point seen is an upper bound of the floor; seen from above, the front foot is near it.
-        floor, floor_sigma = float(np.quantile(heights, 0.005)), (0.002, 0.006)
+        floor, floor_sigma = _lowest(points, viewpoint, detection.up), (0.0015, 0.003)
     if detection.view is not None and detection.mask is not None:
         silhouette = _silhouette_of_view(detection.view, detection.mask)
     elif viewpoint is not None:
@@ -126,6 +135,7 @@ def gather_evidence(detection: Detection, *, num_points: int = 400) -> Evidence:
         up=detection.up,
         floor_m=floor,
         floor_sigma_m=floor_sigma,
+        floor_seen=detection.support is not None,
         silhouette=silhouette,
         sigma_m=detection.sensor_sigma_m,
     )
@@ -176,6 +186,19 @@ def estimate_normals(
         away = np.einsum("ni,ni->n", normals, viewpoint - at) < 0
         normals = np.where(away[:, None], -normals, normals)
     return normals
+
+
+def _lowest(points: np.ndarray, viewpoint: np.ndarray | None, up: np.ndarray) -> float:
+    """Height, m, down to which an object goes of which these points were seen.
+
+    Its foot is rounded, and the steeper the view, the more of that is out of sight.
+    """
+    seen = float(np.quantile(points @ up, 0.001))
+    if viewpoint is None:
+        return seen
+    sight = viewpoint - points.mean(axis=0)
+    sine = float(np.clip(sight @ up / (np.linalg.norm(sight) + 1e-12), 0.0, 1.0))
+    return seen - _FOOT_M * sine
 
 
 def _cell_ids(points: np.ndarray, origin: np.ndarray, size: float) -> np.ndarray:

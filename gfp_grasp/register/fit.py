@@ -10,8 +10,10 @@ import numpy as np
 from gfp_grasp.camera import cast_rays
 from gfp_grasp.errors import FitDiverged, InvalidOption
 from gfp_grasp.register.evidence import Evidence, gather_evidence
-from gfp_grasp.register.modes import ModesConfig, PoseShape, refine
+from gfp_grasp.register.modes import judge, refine
+from gfp_grasp.register.ovality import round_share
 from gfp_grasp.register.starts import HYPOTHESIS_COST, starts
+from gfp_grasp.register.state import ModesConfig, PoseShape
 from gfp_grasp.transforms import make_T
 from gfp_grasp.types import Detection, FittedPrimitive, GenericPrimitive
 
@@ -19,6 +21,11 @@ from gfp_grasp.types import Detection, FittedPrimitive, GenericPrimitive
 _HIDDEN_M = 0.012
 
 _HEAD_STEPS = 2
+_SIGHTS = 120  # lines of sight that are looked along
+_ROUND_M = 0.0003  # ovality of what is round, as made and as its modes show it
+_OCCAM = 3.0  # how much less a round body has to explain, negative log odds; ours
+
+_QUICK = ModesConfig(steps=(0.02, 0.015, 0.01, 0.008, 0.006), num_points=150, num_samples=600)
 
 HYPOTHESES = ("upright", "upside_down", "lying")
 
@@ -34,17 +41,25 @@ class FitConfig:
         thorough: Refinement of the best few.
         survivors: Share of the starts that outlive the first two quick steps.
         keep: Starts that are refined thoroughly.
+        behind: A start whose cost is larger than the best's by this half-way through that is given up.
+        roundness: Ask whether the body is as deep as it is wide.
         mean_size: Every start has the mean size, not the size of the points.
+        size: (3,) scale of every start along the primitive's axes; None leaves it to the points or the mean.
+        refine: Refine the starts; False takes the best of them as it is.
         max_residual_m: A fit whose trimmed residual is larger has diverged.
     """
 
     start: Literal["pcrnet", "box"] = "box"
     hypotheses: tuple[str, ...] = HYPOTHESES
-    quick: ModesConfig = field(default_factory=lambda: ModesConfig(steps=(0.02, 0.015, 0.01, 0.008, 0.006)))
+    quick: ModesConfig = _QUICK
     thorough: ModesConfig = field(default_factory=ModesConfig)
     survivors: float = 0.4
     keep: int = 3
+    behind: float = 15.0
+    roundness: bool = True
     mean_size: bool = False
+    size: tuple[float, float, float] | None = None
+    refine: bool = True
     max_residual_m: float = 0.05
 
     def __post_init__(self) -> None:
@@ -55,6 +70,10 @@ class FitConfig:
             raise InvalidOption(f"hypotheses are {self.hypotheses}; some of {HYPOTHESES} are expected")
         if not 0 < self.survivors <= 1:
             raise InvalidOption(f"survivors is {self.survivors}; a share in (0, 1] is expected")
+        if self.size is not None and not (len(self.size) == 3 and min(self.size) > 0):
+            raise InvalidOption(f"size is {self.size}; three positive factors are expected")
+        if self.behind < 0:
+            raise InvalidOption(f"behind is {self.behind}; a cost from 0 on is expected")
         if self.keep < 1:
             raise InvalidOption(f"keep is {self.keep}; at least one start must be refined")
 
@@ -86,23 +105,26 @@ def fit_evidence(
 ) -> FittedPrimitive:
     """As `fit_primitive`, from evidence gathered before (one gathering serves several primitives)."""
     states = starts(primitive, evidence, config.hypotheses)
-    if config.mean_size:
-        states = [replace(state, log_scale=np.zeros(3)) for state in states]
+    if config.mean_size or config.size is not None:
+        log_scale = np.zeros(3) if config.size is None else np.log(config.size)
+        states = [replace(state, log_scale=log_scale) for state in states]
     if config.start == "pcrnet":
         from gfp_grasp.register.pcrnet import correct_starts  # torch is loaded where it is needed only
 
         states = correct_starts(states, primitive, evidence)
-    states = _race(states, primitive, evidence, config)
-    leaders = _leaders(states, config.keep)
-    refined = [refine(s, primitive, evidence, config.thorough) for s in leaders]
-    refined = [replace(s, cost=s.cost + _blocking_cost(s, primitive, evidence, config)) for s in refined]
-    refined.sort(key=total_cost)
+    if config.refine:
+        states = _race(states, primitive, evidence, config)
+        refined = _finals(_leaders(states, config.keep), primitive, evidence, config)
+    else:
+        states = refined = sorted(judge(states, primitive, evidence, config.thorough), key=total_cost)
     best = refined[0]
     if not np.isfinite(best.cost) or best.residual_m > config.max_residual_m:
         raise FitDiverged(
             f"{primitive.category}: the best start misses the points by {best.residual_m * 1000:.1f} mm, "
             f"{config.max_residual_m * 1000:.0f} mm is allowed: is it one object, in metres, with the right up?"
         )
+    if config.roundness and config.refine:
+        best = _rounder(best, primitive, evidence, config)
     others = [total_cost(s) for s in (*refined, *states) if s.hypothesis != best.hypothesis]
     margin = min(others) / max(total_cost(best), 1e-9) if others else float("inf")
     return FittedPrimitive(
@@ -123,11 +145,42 @@ def _race(
     """Every start refined by two steps, the better share of them by the rest; best first."""
     steps = config.quick.steps
     head, tail = replace(config.quick, steps=steps[:_HEAD_STEPS]), steps[_HEAD_STEPS:]
-    states = sorted((refine(s, primitive, evidence, head) for s in states), key=total_cost)
+    states = sorted(refine(states, primitive, evidence, head), key=total_cost)
     if tail:
         go_on = _leaders(states, max(config.keep, round(config.survivors * len(states))))
-        states = sorted((refine(s, primitive, evidence, replace(head, steps=tail)) for s in go_on), key=total_cost)
+        states = sorted(refine(go_on, primitive, evidence, replace(head, steps=tail)), key=total_cost)
     return states
+
+
+def _finals(
+    states: list[PoseShape], primitive: GenericPrimitive, evidence: Evidence, config: FitConfig
+) -> list[PoseShape]:
+    """The leaders refined thoroughly, best first, and after them those that were given up half-way."""
+    first, second = _halves(config.thorough)
+    states = refine(states, primitive, evidence, first)
+    blocking = [_blocking_cost(s, primitive, evidence, config.thorough) for s in states]
+    hopeful = min(total_cost(s) + b for s, b in zip(states, blocking, strict=True)) + config.behind
+    go_on = [i for i, s in enumerate(states) if total_cost(s) + blocking[i] <= hopeful]
+    # What stands in the line of sight half-way does so at the end.
+    refined = refine([states[i] for i in go_on], primitive, evidence, second)
+    finished = [replace(s, cost=s.cost + blocking[i]) for i, s in zip(go_on, refined, strict=True)]
+    given_up = [replace(s, cost=s.cost + blocking[i]) for i, s in enumerate(states) if i not in go_on]
+    return sorted(finished, key=total_cost) + given_up
+
+
+def _rounder(state: PoseShape, primitive: GenericPrimitive, evidence: Evidence, config: FitConfig) -> PoseShape:
+    """The same fit with a body that is as deep as it is wide, where the points do not speak against that."""
+    _, lap = _halves(config.thorough)
+    (round_state,) = refine([state], primitive, evidence, replace(lap, oval_m=_ROUND_M))
+    blocking = _blocking_cost(round_state, primitive, evidence, lap)
+    round_state = replace(round_state, cost=round_state.cost + blocking)
+    share = round_share(primitive, 2 * _ROUND_M)
+    return round_state if round_state.cost - np.log(share) - _OCCAM < state.cost - np.log1p(-share) else state
+
+
+def _halves(config: ModesConfig) -> tuple[ModesConfig, ModesConfig]:
+    half = (len(config.steps) + 1) // 2
+    return replace(config, steps=config.steps[:half]), replace(config, steps=config.steps[half:] or config.steps[-1:])
 
 
 def total_cost(state: PoseShape) -> float:
@@ -135,12 +188,13 @@ def total_cost(state: PoseShape) -> float:
     return state.cost + HYPOTHESIS_COST[state.hypothesis]
 
 
-def _blocking_cost(state: PoseShape, primitive: GenericPrimitive, evidence: Evidence, config: FitConfig) -> float:
+def _blocking_cost(state: PoseShape, primitive: GenericPrimitive, evidence: Evidence, config: ModesConfig) -> float:
     """Cost of a surface that stands between the viewpoint and what was seen from there.
 
     Without it a cup's inside fits the inside of the same cup turned over, whose bottom hides it. A point that is
     hidden counts as one that the surface does not explain.
     """
+    evidence = evidence.few(_SIGHTS)
     if evidence.viewpoint is None:
         return 0.0
     local = primitive.shape(state.coefficients, np.exp(state.log_scale))
@@ -149,8 +203,8 @@ def _blocking_cost(state: PoseShape, primitive: GenericPrimitive, evidence: Evid
     distance, _, _ = cast_rays([triangles], evidence.viewpoint, sight)
     length = np.linalg.norm(sight, axis=1)
     blocked = float((distance * length < length - _HIDDEN_M).mean())
-    robust_m, sigma = config.thorough.steps[-1], np.hypot(evidence.sigma_m, config.thorough.misfit_m)
-    return 0.5 * config.thorough.effective_points * blocked * float((robust_m / sigma) ** 2)
+    robust_m, sigma = config.steps[-1], np.hypot(evidence.sigma_m, config.misfit_m)
+    return 0.5 * config.effective_points * blocked * float((robust_m / sigma) ** 2)
 
 
 def _leaders(states: list[PoseShape], keep: int) -> list[PoseShape]:

@@ -1,35 +1,33 @@
-"""Rigid point-to-plane ICP of the mean primitive: the baseline that knows neither scale nor shape."""
+"""Registrations that know neither scale nor shape, as baselines: ICP and the paper's PCRNet."""
 
 from __future__ import annotations
 
 from dataclasses import replace
 
-from gfp_grasp.register.evidence import gather_evidence
-from gfp_grasp.register.fit import FitConfig, fit_evidence
-from gfp_grasp.register.modes import ModesConfig
-from gfp_grasp.types import Detection, FittedPrimitive, GenericPrimitive
+from gfp_grasp.register.fit import FitConfig
+from gfp_grasp.register.state import ModesConfig
 
 _RIGID = ModesConfig(estimate_scale=False, estimate_modes=False, free_space=False)
 
 
-def icp_primitive(
-    detection: Detection, primitive: GenericPrimitive, *, config: FitConfig = FitConfig(start="box", keep=1)
-) -> FittedPrimitive:
-    """Register the mean primitive at its mean size, with the starts of `fit_primitive`.
+def icp_config(*, size: tuple[float, float, float] | None = None) -> FitConfig:
+    """Rigid point-to-plane ICP of the mean primitive, from the starts of the default fit.
 
     Args:
-        detection: One object.
-        primitive: Template.
-        config: Starts; the refinements are made rigid.
-
-    Raises:
-        TooFewPoints: Too few points.
-        FitDiverged: Nothing came near the points.
+        size: (3,) scale of the primitive along its axes; None is its own.
     """
-    rigid = replace(
+    config = FitConfig(roundness=False, mean_size=True, size=size, keep=1)
+    return replace(
         config,
         quick=replace(_RIGID, steps=config.quick.steps),
         thorough=replace(_RIGID, steps=config.thorough.steps),
-        mean_size=True,
     )
-    return fit_evidence(gather_evidence(detection), primitive, config=rigid)
+
+
+def pcrnet_config(*, size: tuple[float, float, float] | None = None) -> FitConfig:
+    """PCRNet's five iterations on the mean primitive and nothing after them (GFPNet sec. III-A).
+
+    Args:
+        size: (3,) scale of the primitive along its axes; None is its own.
+    """
+    return FitConfig(start="pcrnet", roundness=False, mean_size=True, size=size, refine=False, thorough=_RIGID)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from gfp_grasp.register.evidence import Evidence
-from gfp_grasp.register.modes import PoseShape
+from gfp_grasp.register.state import PoseShape
 from gfp_grasp.transforms import rotation_about, rotation_between
 from gfp_grasp.types import GenericPrimitive
 

@@ -11,12 +11,16 @@ from gfp_grasp.errors import InvalidOption, UnknownCategory
 SPLITS = ("train", "val", "test")
 
 
-def split_seeds(family: str, split: str) -> tuple[int, ...]:
+_MORE = 1000  # seeds from here on belong to no committed split and are for training
+
+
+def split_seeds(family: str, split: str, count: int | None = None) -> tuple[int, ...]:
     """Seeds of one split of one family.
 
     Args:
         family: One of shapes.FAMILIES.
         split: "train", "val" or "test".
+        count: The first so many; None is the whole committed split. Of "train" there are as many as are asked for.
 
     Raises:
         UnknownCategory: No such family.
@@ -27,7 +31,11 @@ def split_seeds(family: str, split: str) -> tuple[int, ...]:
         raise UnknownCategory(f"no shape family {family!r}: choose one of {', '.join(table)}")
     if split not in SPLITS:
         raise InvalidOption(f"no split {split!r}: choose one of {', '.join(SPLITS)}")
-    return table[family][split]
+    seeds = table[family][split]
+    if count is None:
+        return seeds
+    more = count - len(seeds) if split == "train" else 0
+    return (*seeds[:count], *range(_MORE, _MORE + more))
 
 
 @cache

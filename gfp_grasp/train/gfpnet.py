@@ -1,22 +1,35 @@
-"""Training of the three GFPNets on labelled patches of registered primitives."""
+"""Training of the three GFPNets on labelled patches of registered primitives.
+
+Letters: o objects, p patches of one, n source points, m template points, c channels.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import lru_cache
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import torch
 from torch import Tensor, nn
 
 from gfp_grasp.assets import data_dir
-from gfp_grasp.deform.gfpnet import WEIGHTS, PaperNet, Variant, make_network
-from gfp_grasp.deform.patches import UNIT_M, make_patches
+from gfp_grasp.deform.gfpnet import (
+    MODES,
+    WEIGHTS,
+    Variant,
+    change_units,
+    fit_features,
+    make_network,
+)
+from gfp_grasp.deform.patches import UNIT_M, make_patches, patch_layout
 from gfp_grasp.primitives import load_primitive
 from gfp_grasp.register import FitConfig
 from gfp_grasp.shapes import FAMILIES
 from gfp_grasp.train.labels import Label, make_labels
 from gfp_grasp.train.loop import Batch, LoopConfig, shuffled, train, write_weights
+from gfp_grasp.types import FittedPrimitive, GenericPrimitive
 
 DEFAULTS: dict[Variant, LoopConfig] = {
     "patch": LoopConfig(steps=4000, batch=16, rate=1e-3, decay=0.7, weight_decay=0.01),  # a batch of whole objects
@@ -60,77 +73,129 @@ def train_gfpnet(
     """
     config = config or DEFAULTS[variant]
     torch.manual_seed(config.seed)
-    data, counts = _patches("train", num_views, limit, runs, workers, fit)
-    if variant != "patch":
-        data = _single(data)
+    objects, counts = _objects("train", num_views, limit, runs, workers, fit)
     network, hours = train(
         make_network(variant),
-        augmented(shuffled(data, config.batch)) if variant == "patch" else shuffled(data, config.batch),
-        paper_loss if variant != "patch" else point_loss,
+        augmented(shuffled(objects, config.batch)) if variant == "patch" else shuffled(_single(objects), config.batch),
+        point_loss if variant == "patch" else paper_loss,
         config=config,
         checkpoint=runs / "gfpnet" / f"{variant}.pt",
         report=report,
     )
     network = network.half().float()
-    held_out, _ = _patches("val", num_views, None if limit is None else max(1, limit // 4), runs, workers, fit)
-    out = out or data_dir("weights") / f"{WEIGHTS[variant]}.safetensors"
+    held_out, _ = _objects("val", num_views, None if limit is None else max(1, limit // 4), runs, workers, fit)
     return write_weights(
         network,
-        out,
+        out or data_dir("weights") / f"{WEIGHTS[variant]}.safetensors",
         config=config,
         data={
             "families": FAMILIES,
             "split": "train",
+            "shapes_a_family": limit or "all",
             "views_a_shape": num_views,
-            "samples": len(data[0]),
+            "samples": len(objects.source),
             "labels": counts,
         },
         hours=hours,
-        metrics=_measure(network, held_out if variant == "patch" else _single(held_out)),
+        metrics=_measure(network, held_out) if variant == "patch" else _measure_paper(network, _single(held_out)),
+        extra={"primitives": {family: load_primitive(family).card["sha256"] for family in FAMILIES}},
     )
 
 
+class Objects(NamedTuple):
+    """Labelled objects, o of them, patch by patch; floats are float16 until they are used.
+
+    Attributes:
+        source: (o, p, n, 3) S, and as the rest in the patch's own frame and unit.
+        source_normals: (o, p, n, 3).
+        template: (o, p, m, 3) T.
+        template_normals: (o, p, m, 3).
+        carried: (o, p, m).
+        pull: (o, p, n, c).
+        place: (o, p, c).
+        fit: (o, c) as of `fit_features`.
+        offset: (o, p, n, 3) from S to its label.
+        frames: (o, p, 3, 3) axes of the patches as columns.
+        scale: (o, 3) of the fit.
+        primitive: (o,) index into `_primitives()`.
+    """
+
+    source: Tensor
+    source_normals: Tensor
+    template: Tensor
+    template_normals: Tensor
+    carried: Tensor
+    pull: Tensor
+    place: Tensor
+    fit: Tensor
+    offset: Tensor
+    frames: Tensor
+    scale: Tensor
+    primitive: Tensor
+
+
 def augmented(stream: Callable[[torch.Generator], Iterator[Batch]]) -> Callable[[torch.Generator], Iterator[Batch]]:
-    """Objects mirrored left to right, with noisier and sparser template points; all that a class may show anyway.
+    """Objects with noisier and sparser template points.
 
     Half of each patch's source points are drawn: they are decoded one by one, and all of them would cost twice.
     """
 
     def batches(generator: torch.Generator) -> Iterator[Batch]:
-        for source, source_normals, template, template_normals, carried, pull, place, target in stream(generator):
-            o, p, m, _ = template.shape
-            some = torch.randperm(source.shape[2], generator=generator)[: source.shape[2] // 2]
-            sign = torch.ones(o, 1, 1, 3)
-            sign[:, 0, 0, 1] = (torch.randint(0, 2, (o,), generator=generator) * 2 - 1).float()
-            vectors = place[..., :9].unflatten(-1, (3, 3)) * sign
+        for batch in stream(generator):
+            objects = Objects(*batch)
+            o, p, m, _ = objects.template.shape
+            num_source = objects.source.shape[2]
+            some = torch.randperm(num_source, generator=generator)[: num_source // 2]
             # A random share of the template points is lost: others stand in for them, as where few were seen.
             kept = torch.rand(o, 1, 1, generator=generator) * 0.9 + 0.1
             stand_in = (torch.rand(o, p, m, generator=generator) * kept * m).long()
             pick = torch.argsort(torch.rand(o, p, m, generator=generator), dim=2).gather(2, stand_in)[..., None]
             noise = torch.randn(o, p, m, 3, generator=generator) * (_NOISE_M / UNIT_M)
-            yield (
-                source[:, :, some] * sign,
-                source_normals[:, :, some] * sign,
-                (template * sign + noise).gather(2, pick.expand(-1, -1, -1, 3)),
-                (template_normals * sign).gather(2, pick.expand(-1, -1, -1, 3)),
-                carried.gather(2, pick[..., 0]),
-                pull[:, :, some],
-                torch.cat([vectors.flatten(2), place[..., 9:]], dim=-1),
-                target[:, :, some] * sign,
+            thinned = objects._replace(
+                source=objects.source[:, :, some],
+                source_normals=objects.source_normals[:, :, some],
+                template=(objects.template + noise).gather(2, pick.expand(-1, -1, -1, 3)),
+                template_normals=objects.template_normals.gather(2, pick.expand(-1, -1, -1, 3)),
+                carried=objects.carried.gather(2, pick[..., 0]),
+                pull=objects.pull[:, :, some],
+                offset=objects.offset[:, :, some],
             )
+            yield (*thinned, some)
 
     return batches
 
 
 def point_loss(network: nn.Module, batch: Batch) -> Tensor:
     """Mean error of each vertex, and the Gaussian likelihood of that error under the deviation the network gives."""
-    *inputs, target = batch
-    offset, log_sigma = network(*inputs)
-    error = _surface_error(offset.float() - (target - inputs[0]), inputs[1])
+    *parts, some = batch
+    objects = Objects(*parts)
+    error, log_sigma = _errors(network, objects, some)
     log_sigma = log_sigma.float().clamp(-7, 2)
     # The error is a given to the likelihood: offsets do not learn less where sigma would excuse them.
     likelihood = 0.5 * (error.detach() * torch.exp(-log_sigma)) ** 2 + log_sigma
     return error.mean() + 0.02 * likelihood.clamp_max(20.0).mean()
+
+
+def _errors(network: nn.Module, objects: Objects, some: Tensor) -> tuple[Tensor, Tensor]:
+    """What is left (o, p, n) between each point as moved and its label, patch units, and log sigma (o, p, n)."""
+    offset, log_sigma, change = network(*objects[:8])
+    moved = offset.float() + _field(objects, change, some)
+    return _surface_error(moved - objects.offset.float(), objects.source_normals.float()), log_sigma
+
+
+def _field(objects: Objects, change: Tensor, some: Tensor) -> Tensor:
+    """What a change (o, c) of the fits does to points some (n,) of each patch: `mode_field` in patch frame and unit."""
+    index, modes = _primitives()
+    change = change * torch.from_numpy(change_units()).to(change)
+    # First the field of all vertices, then what each patch has of it.
+    whole = torch.einsum("oc,ocvi->ovi", change[:, :MODES], modes[objects.primitive]) * objects.scale[:, None]
+    at = index[objects.primitive][:, :, some]  # (o, p, n)
+    o, p, n = at.shape
+    field = whole.gather(1, at.reshape(o, -1, 1).expand(-1, -1, 3)).view(o, p, n, 3)
+    frames = objects.frames.float()
+    vertices = torch.einsum("opij,opnj->opni", frames, objects.source.float()) + objects.place[:, :, None, :3].float()
+    field = field + UNIT_M * vertices * change[:, None, None, MODES : MODES + 3] + change[:, None, None, MODES + 3 :]
+    return torch.einsum("opij,opni->opnj", frames, field) / UNIT_M
 
 
 def _surface_error(gap: Tensor, normals: Tensor) -> Tensor:
@@ -145,7 +210,7 @@ def paper_loss(network: nn.Module, batch: Batch) -> Tensor:
     Its eq. 3 as printed, the mean position of the neighbours, has no useful minimum; the Laplacian here is the
     distance of each point to the mean of its neighbours on S, less the label's own.
     """
-    source, _, template, *_, target = batch
+    source, template, target = batch
     moved = network(source, template).float()
     pairwise = torch.cdist(moved, target)
     chamfer = pairwise.amin(dim=2).mean() + pairwise.amin(dim=1).mean()
@@ -160,66 +225,104 @@ def _lap(points: Tensor, near: Tensor) -> Tensor:
     return points - around.mean(dim=2)
 
 
-def _patches(
+@lru_cache(maxsize=1)
+def _primitives() -> tuple[Tensor, Tensor]:
+    """Of every shipped primitive and then its twin: vertices of the patches (q, p, n), modes (q, k, v, 3) m."""
+    shipped = [primitive for family in FAMILIES for primitive in _with_twin(family)]
+    index = np.stack([patch_layout(primitive)[0] for primitive in shipped])
+    most = max(len(primitive.vertices) for primitive in shipped)
+    modes = np.zeros((len(shipped), MODES, most, 3), dtype=np.float32)
+    for own, primitive in zip(modes, shipped, strict=True):
+        own[: len(primitive.modes), : len(primitive.vertices)] = primitive.modes[:MODES]
+    return torch.from_numpy(index), torch.from_numpy(modes)
+
+
+def _with_twin(family: str) -> tuple[GenericPrimitive, GenericPrimitive]:
+    """A shipped primitive and its handle-less twin; itself again where it has none."""
+    primitive = load_primitive(family)
+    return primitive, primitive.twin or primitive
+
+
+def _objects(
     split: str, num_views: int, limit: int | None, runs: Path, workers: int, fit: FitConfig
-) -> tuple[Batch, dict[str, dict[str, int]]]:
-    """Tensors S, its normals, T, its normals, carried, pull, place, label (o, p, ...) of all labels of a split."""
-    columns: list[list[np.ndarray]] = [[] for _ in range(8)]
+) -> tuple[Objects, dict[str, dict[str, int]]]:
+    """All labelled objects of a split, and how many labels of each class were kept and dropped."""
+    columns: list[list[np.ndarray]] = [[] for _ in Objects._fields]
     counts = {}
     for family in FAMILIES:
         labels, counts[family] = make_labels(
             family, split, num_views=num_views, limit=limit, runs=runs, workers=workers, fit=fit
         )
         for label in labels:
-            for column, part in zip(columns, _label_patches(label), strict=True):
-                column.append(part.astype(np.float32))
-    return tuple(torch.from_numpy(np.stack(column)) for column in columns), counts
+            for column, part in zip(columns, _object(label), strict=True):
+                part = np.asarray(part)
+                column.append(part if part.dtype.kind == "i" else part.astype(np.float16))
+    return Objects(*(torch.from_numpy(np.stack(column)) for column in columns)), counts
 
 
-def _label_patches(label: Label) -> tuple[np.ndarray, ...]:
-    primitive = load_primitive(label.category)
-    if label.twin:
-        assert primitive.twin is not None
-        primitive = primitive.twin
+def _object(label: Label) -> tuple[object, ...]:
+    """The fields of `Objects` for one label."""
+    primitive = _with_twin(label.category)[label.twin]
     p = make_patches(primitive, label.vertices, label.template, label.viewpoint)
+    coefficients = np.zeros(len(primitive.modes))
+    coefficients[: len(label.coefficients)] = label.coefficients  # of a fit that had few modes
+    fit = FittedPrimitive(primitive, np.eye(4), label.scale, coefficients, 0.0)
     offset = np.einsum("bni,bij->bnj", (label.target - label.vertices)[p.index], p.frames) / UNIT_M
-    return p.source, p.source_normals, p.template, p.template_normals, p.carried, p.pull, p.place, p.source + offset
+    number = 2 * FAMILIES.index(label.category) + int(label.twin)
+    return (
+        p.source, p.source_normals, p.template, p.template_normals, p.carried, p.pull, p.place, fit_features(fit),
+        offset, p.frames, label.scale, number,
+    )  # fmt: skip
 
 
-def _single(data: Batch) -> Batch:
-    """Patches (b, ...) that see something, of whole objects (o, p, ...)."""
-    sees = data[6][..., -1] > 0
-    return tuple(part[sees] for part in data)
+def _single(objects: Objects) -> Batch:
+    """S, T and label (b, ...) of the patches that see something."""
+    sees = objects.place[..., -1] > 0
+    return tuple(part[sees] for part in (objects.source, objects.template, objects.source + objects.offset))
 
 
-def _measure(network: nn.Module, data: Batch) -> dict[str, float]:
-    """Mean distance of patch points to their labels, mm, undeformed and deformed, of all and of what was not seen."""
-    place, target = data[6], data[7]
-    before = (target - data[0]).norm(dim=-1)
-    hidden = place[..., -1] == 0
+def _measure_paper(network: nn.Module, data: Batch) -> dict[str, float]:
+    """Mean distance of the patches' points to the labels, mm, undeformed and as their nearest of the predicted set."""
+    after = []
+    with torch.inference_mode():
+        for source, template, target in zip(*(part.split(512) for part in data), strict=True):
+            moved = network(source.float(), template.float())
+            after.append(torch.cdist(moved, target.float()).amin(dim=1))
+    return {
+        "val_samples": len(data[0]),
+        "mean_error_before_mm": _mean_mm((data[2] - data[0]).float().norm(dim=-1)),
+        "mean_error_after_mm": _mean_mm(torch.cat(after)),
+    }
+
+
+def _measure(network: nn.Module, objects: Objects) -> dict[str, float]:
+    """Mean distance of the points to their labels, mm, undeformed and deformed, of all and of what was not seen."""
+    hidden = objects.place[..., -1] == 0
+    before = _surface_error(objects.offset.float(), objects.source_normals.float())
+    everything = torch.arange(objects.source.shape[2])
     after, within = [], []
     with torch.inference_mode():
-        for *inputs, y in zip(*(part.split(32 if place.ndim == 3 else 512) for part in data), strict=True):
-            if isinstance(network, PaperNet):
-                after.append(torch.cdist(network(inputs[0], inputs[2]), y).amin(dim=1))
-            else:
-                offset, log_sigma = network(*inputs)
-                after.append((inputs[0] + offset - y).norm(dim=-1))
-                within.append(_surface_error(inputs[0] + offset - y, inputs[1]) < 2 * log_sigma.exp())
+        for parts in zip(*(part.split(32) for part in objects), strict=True):
+            part = Objects(*(p.float() if p.is_floating_point() else p for p in parts))
+            error, log_sigma = _errors(network, part, everything)
+            after.append(error)
+            within.append(error < 2 * log_sigma.exp())
     error = torch.cat(after)
-
-    def mean_mm(distance: Tensor) -> float:
-        return round(float(distance.mean()) * UNIT_M * 1000, 3)
-
     metrics = {
-        "val_samples": len(target),
-        "mean_error_before_mm": mean_mm(before),
-        "mean_error_after_mm": mean_mm(error),
+        "val_samples": len(objects.source),
+        "mean_error_before_mm": _mean_mm(before),
+        "mean_error_after_mm": _mean_mm(error),
+        "hidden_error_before_mm": _mean_mm(before[hidden]),
+        "hidden_error_after_mm": _mean_mm(error[hidden]),
+        "share_within_two_sigma": round(float(torch.cat(within).float().mean()), 3),
     }
-    if within:
-        metrics |= {
-            "hidden_error_before_mm": mean_mm(before[hidden]),
-            "hidden_error_after_mm": mean_mm(error[hidden]),
-            "share_within_two_sigma": round(float(torch.cat(within).float().mean()), 3),
-        }
+    classes = objects.primitive // 2
+    for number, family in enumerate(FAMILIES):
+        mine = classes == number
+        metrics[f"{family}_error_before_mm"] = _mean_mm(before[mine])
+        metrics[f"{family}_error_after_mm"] = _mean_mm(error[mine])
     return metrics
+
+
+def _mean_mm(distance: Tensor) -> float:
+    return round(float(distance.mean()) * UNIT_M * 1000, 3)

@@ -2,7 +2,8 @@
 
 The label of a fit is the fit drawn onto the whole true surface by the active contour (GFS), stiff first, then soft.
 Labels that fold or leave more than 2 mm are dropped and counted. Half of the fits have few modes to use: such a fit is
-as far off as a fit to an object that its class does not foresee, which is where a deformation is needed most.
+as far off as a fit to an object that its class does not foresee, which is where a deformation is needed most. Half do
+not know where the support is.
 """
 
 from __future__ import annotations
@@ -48,6 +49,8 @@ class Label:
         target: (v, 3) m, where the vertices belong.
         template: Observed and carried points.
         viewpoint: (3,) m, where the camera stood.
+        coefficients: (k,) of the fit's modes.
+        scale: (3,) of the fit.
     """
 
     category: str
@@ -56,6 +59,8 @@ class Label:
     target: np.ndarray
     template: TemplatePoints
     viewpoint: np.ndarray
+    coefficients: np.ndarray
+    scale: np.ndarray
 
 
 def make_labels(
@@ -101,8 +106,9 @@ def label_fit(fit: FittedPrimitive, truth_points: np.ndarray, truth_normals: np.
 
 
 def _cached_label(view: View, *, folder: Path, fit: FitConfig) -> tuple[Label | None, str]:
-    num_modes = _MODES[int(hashlib.sha256(view.points.tobytes()).hexdigest(), 16) % len(_MODES)]
-    content = view.points.tobytes() + repr((fit, num_modes)).encode() + _card_id(view.family)
+    draw = int(hashlib.sha256(view.points.tobytes()).hexdigest(), 16)
+    num_modes, support = _MODES[draw % len(_MODES)], draw // len(_MODES) % 2 == 0
+    content = view.points.tobytes() + repr((fit, num_modes, support)).encode() + _card_id(view.family)
     key = hashlib.sha256(content).hexdigest()[:20]
     path = folder / view.family / f"{key}.npz"
     if path.is_file():
@@ -110,9 +116,11 @@ def _cached_label(view: View, *, folder: Path, fit: FitConfig) -> tuple[Label | 
             if str(s["verdict"]) != "kept":
                 return None, str(s["verdict"])
             template = TemplatePoints(s["points"].astype(float), s["normals"].astype(float), s["carried"])
-            vertices, target, viewpoint = (s[name].astype(float) for name in ("vertices", "target", "viewpoint"))
-            return Label(view.family, bool(s["twin"]), vertices, target, template, viewpoint), "kept"
-    label, verdict = _label(view, fit, num_modes)
+            vertices, target, *rest = (
+                s[name].astype(float) for name in ("vertices", "target", "viewpoint", "coefficients", "scale")
+            )
+            return Label(view.family, bool(s["twin"]), vertices, target, template, *rest), "kept"
+    label, verdict = _label(view, fit, num_modes, support=support)
     path.parent.mkdir(parents=True, exist_ok=True)
     partial_path = path.with_suffix(f".{os.getpid()}.npz")
     if label is None:
@@ -128,13 +136,15 @@ def _cached_label(view: View, *, folder: Path, fit: FitConfig) -> tuple[Label | 
             normals=label.template.normals.astype(np.float32),
             carried=label.template.carried,
             viewpoint=label.viewpoint,
+            coefficients=label.coefficients,
+            scale=label.scale,
         )
     partial_path.rename(path)
     return label, verdict
 
 
-def _label(view: View, config: FitConfig, num_modes: int) -> tuple[Label | None, str]:
-    detection = view.detection()
+def _label(view: View, config: FitConfig, num_modes: int, *, support: bool) -> tuple[Label | None, str]:
+    detection = view.detection(support=support)
     try:
         evidence = gather_evidence(detection)
         # How it rests is given: a fit that stands on its head has no label.
@@ -157,7 +167,8 @@ def _label(view: View, config: FitConfig, num_modes: int) -> tuple[Label | None,
         return None, "folded"
     vertices = fit.primitive.shape(fit.coefficients, fit.scale)
     viewpoint = apply_T(invert_T(fit.T_world_object), view.viewpoint)
-    return Label(view.family, twin, vertices, target, template_points(fit, detection), viewpoint), "kept"
+    template = template_points(fit, detection)
+    return Label(view.family, twin, vertices, target, template, viewpoint, fit.coefficients, fit.scale), "kept"
 
 
 @lru_cache(maxsize=32)

@@ -88,7 +88,7 @@ def train(
     start = saved = time.monotonic()
     summed, count = 0.0, 0
     for step in range(done, config.steps):
-        batch = tuple(part.to(config.device) for part in next(stream))
+        batch = tuple(_ready(part, config.device) for part in next(stream))
         with torch.autocast(config.device, dtype=torch.bfloat16, enabled=config.bf16):
             value = loss(network, batch)
         optimiser.zero_grad(set_to_none=True)
@@ -108,7 +108,14 @@ def train(
 
 
 def write_weights(
-    network: nn.Module, path: Path, *, config: object, data: Mapping[str, object], hours: float, metrics: Mapping
+    network: nn.Module,
+    path: Path,
+    *,
+    config: object,
+    data: Mapping[str, object],
+    hours: float,
+    metrics: Mapping,
+    extra: Mapping[str, object] | None = None,
 ) -> Path:
     """Write weights (float16 safetensors) and their card (JSON beside them).
 
@@ -119,6 +126,7 @@ def write_weights(
         data: What it was trained on.
         hours: Wall clock.
         metrics: Measured on data it was not trained on, with the float16 weights.
+        extra: More of the card.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     save_file({name: tensor.half().contiguous() for name, tensor in network.state_dict().items()}, path)
@@ -130,6 +138,7 @@ def write_weights(
         "hours": round(hours, 3),
         "torch": torch.__version__.split("+")[0],
         "metrics": dict(metrics),
+        **(extra or {}),
         "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
     }
     card_path = path.with_suffix(".json")
@@ -149,6 +158,11 @@ def shuffled(parts: Batch, batch: int) -> Callable[[torch.Generator], Iterator[B
                 yield tuple(part[index] for part in parts)
 
     return stream
+
+
+def _ready(part: Tensor, device: str) -> Tensor:
+    """On the device, and in single precision where it was stored in less."""
+    return part.to(device, torch.float32 if part.is_floating_point() else None)
 
 
 def _command() -> str:

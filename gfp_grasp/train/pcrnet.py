@@ -17,9 +17,9 @@ from gfp_grasp.assets import data_dir
 from gfp_grasp.observation import canonical_frame
 from gfp_grasp.primitives import load_primitive
 from gfp_grasp.register.evidence import gather_evidence
-from gfp_grasp.register.modes import PoseShape
 from gfp_grasp.register.pcrnet import PCRNet, network_input, rotation_of
 from gfp_grasp.register.starts import starts
+from gfp_grasp.register.state import PoseShape
 from gfp_grasp.shapes import FAMILIES
 from gfp_grasp.train.loop import Batch, LoopConfig, shuffled, train, write_weights
 from gfp_grasp.train.views import cached_views

@@ -74,14 +74,14 @@ class View:
     T_world_object: np.ndarray
     resting: str
 
-    def detection(self, *, category: str | None = None) -> Detection:
-        """The view as a detection of known class, its support known."""
+    def detection(self, *, category: str | None = None, support: bool = True) -> Detection:
+        """The view as a detection of known class, its support known or not."""
         category = category or self.family
         low, high = self.points.min(axis=0), self.points.max(axis=0)
         return Detection(
             cloud=PointCloud(self.points, self.viewpoint),
             up=np.array([0.0, 0.0, 1.0]),
-            support=SupportPlane(np.array([0.0, 0.0, 1.0]), 0.0),
+            support=SupportPlane(np.array([0.0, 0.0, 1.0]), 0.0) if support else None,
             category=category,
             scores={category: 1.0},
             box=OrientedBox(make_T(None, (low + high) / 2), high - low),
@@ -117,7 +117,7 @@ def cached_views(
     progress=None,
 ) -> list[View]:
     """Views of every shape of a split, rendered where the cache lacks them."""
-    seeds = split_seeds(family, split)[:limit]
+    seeds = split_seeds(family, split, limit)
     jobs = [(family, seed) for seed in seeds]
     make = partial(_load_or_render, num_views=num_views, folder=folder, config=config)
     return [view for views in pmap(make, jobs, workers=workers, progress=progress) for view in views]

@@ -1,0 +1,130 @@
+"""What the bench of completions compares, by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+import trimesh
+
+from gfp_grasp.bench.views import Sight, extents_of
+from gfp_grasp.complete import CompleteConfig, complete_to_mesh
+from gfp_grasp.completers import CONFIGS, complete_as_observed, mirrored_cloud
+from gfp_grasp.completion import Completion
+from gfp_grasp.deform import DeformConfig, Method
+from gfp_grasp.detect import detect_single
+from gfp_grasp.primitives import load_primitive
+from gfp_grasp.register import FitConfig, icp_config, pcrnet_config
+from gfp_grasp.types import Detection
+
+UNDEFORMED = "registration"
+_ITERATIONS = range(1, 8)
+
+
+@dataclass(frozen=True, eq=False)
+class Answer:
+    """What a method makes of a view.
+
+    Attributes:
+        surface: A mesh, or points (n, 3) m where the method has none.
+        completion: As the library returned it, where it was the library.
+    """
+
+    surface: trimesh.Trimesh | np.ndarray
+    completion: Completion | None = None
+
+
+def run_method(name: str, sight: Sight, category: str | None, given: str) -> Answer:
+    """One method on one view.
+
+    Args:
+        name: One of METHODS.
+        sight: The view; a method gets its cloud. Rows that end in "-sized" also get the true height and width.
+        category: The class it is told, or None.
+        given: The true class, whose primitive the "-sized" rows and those of the paper's table start from.
+
+    Raises:
+        GfpGraspError: The method has no answer.
+    """
+    if name in _SIMPLE:
+        return Answer(_SIMPLE[name](sight))
+    config, tell = config_of(name, sight, given)
+    done = complete_to_mesh(
+        sight.cloud.points,
+        viewpoint=sight.cloud.viewpoint,
+        category=given if tell else category,
+        config=config,
+    )
+    return Answer(done.mesh, done)
+
+
+def config_of(name: str, sight: Sight | None = None, given: str = "") -> tuple[CompleteConfig, bool]:
+    """Config of a row that registers a primitive, and whether the row is told the class."""
+    if name in _OWN:
+        return _OWN[name], False
+    base = name.removesuffix("-sized")
+    rigid, method = _PAPER[base]
+    size = None
+    if name.endswith("-sized"):
+        assert sight is not None
+        size = _true_size(sight, given)
+    return CompleteConfig(fit=rigid(size=size), deform=DeformConfig(method=method), rival_share=1.0), True
+
+
+def _true_size(sight: Sight, category: str) -> tuple[float, float, float]:
+    """Scale that gives the class's primitive the true height and mean width."""
+    true, own = extents_of(sight), np.ptp(load_primitive(category).vertices, axis=0)
+    wide = float(true[:2].mean() / own[:2].mean())
+    return wide, wide, float(true[2] / own[2])
+
+
+def _detection(sight: Sight) -> Detection:
+    return detect_single(sight.cloud.points, viewpoint=sight.cloud.viewpoint, up=np.array([0, 0, 1.0]))
+
+
+def _without(**switches: object) -> CompleteConfig:
+    """The default with switches of both refinements of its fit."""
+    fit = FitConfig()
+    quick, thorough = (replace(c, **switches) for c in (fit.quick, fit.thorough))  # type: ignore[arg-type]
+    return CompleteConfig(fit=replace(fit, quick=quick, thorough=thorough))
+
+
+_SIMPLE: Mapping[str, Callable[[Sight], trimesh.Trimesh | np.ndarray]] = {
+    "partial": lambda sight: sight.cloud.points,
+    "hull": lambda sight: complete_as_observed(_detection(sight)).mesh,
+    "mirror": lambda sight: mirrored_cloud(_detection(sight)),
+}
+_PAPER: Mapping[str, tuple[Callable[..., FitConfig], Method]] = {
+    "icp": (icp_config, "none"),
+    "pcrnet": (pcrnet_config, "none"),
+    "pcrnet-gfs": (pcrnet_config, "gfs"),
+    "pcrnet-gfpnet-oneshot": (pcrnet_config, "gfpnet-oneshot"),
+    "pcrnet-gfpnet-paper": (pcrnet_config, "gfpnet-paper"),
+}
+SWITCHES: Mapping[str, CompleteConfig] = {
+    "gfpnet-no-scale": _without(estimate_scale=False),
+    "gfpnet-no-modes": _without(estimate_modes=False),
+    "gfpnet-no-roundness": CompleteConfig(fit=FitConfig(roundness=False)),
+    "gfpnet-no-free-space": _without(free_space=False),
+    "gfpnet-no-support": _without(support=False),
+    "gfpnet-no-symmetry": CompleteConfig(deform=DeformConfig(symmetry=False)),
+    "gfpnet-pcrnet-start": CompleteConfig(fit=FitConfig(start="pcrnet")),
+}
+_OWN: Mapping[str, CompleteConfig] = {
+    **{name: CONFIGS[name] for name in (UNDEFORMED, "gfs", "gfpnet-oneshot", "gfpnet")},
+    "registration-no-modes": replace(SWITCHES["gfpnet-no-modes"], deform=DeformConfig(method="none")),
+    **{
+        f"gfpnet-paper-{m}": CompleteConfig(deform=DeformConfig(method="gfpnet-paper", iterations=m))
+        for m in _ITERATIONS
+    },
+    **SWITCHES,
+}
+METHODS = (
+    *_SIMPLE,
+    *(f"{name}{sized}" for name in _PAPER for sized in ("", "-sized")),
+    *_OWN,
+)
+BRIEF = (*_SIMPLE, "icp", UNDEFORMED, "gfs", "gfpnet-paper-5", "gfpnet")
+
+__all__ = ["BRIEF", "METHODS", "SWITCHES", "UNDEFORMED", "Answer", "config_of", "run_method"]
