@@ -2,11 +2,11 @@
 
 import numpy as np
 
-from gfp_grasp.train.views import _occlude, render_views
+from gfp_grasp.train.views import _occlude, render_views, shape_source
 
 
 def test_views_of_a_shape_are_the_same_for_the_same_seed_and_hold_its_surface():
-    first, again = (render_views("cup", 7, num_views=2) for _ in range(2))
+    first, again = (render_views(shape_source("cup", 7), num_views=2) for _ in range(2))
     assert len(first) == 2
     for a, b in zip(first, again, strict=True):
         assert np.array_equal(a.points, b.points)

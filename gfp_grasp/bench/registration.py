@@ -20,8 +20,8 @@ from gfp_grasp.metrics import chamfer_m
 from gfp_grasp.parallel import pmap
 from gfp_grasp.primitives import load_primitive
 from gfp_grasp.register import FitConfig, fit_primitive
-from gfp_grasp.shapes import FAMILIES, make_shape, split_seeds
-from gfp_grasp.train.views import View, ViewsConfig, render_views
+from gfp_grasp.shapes import FAMILIES, split_seeds
+from gfp_grasp.train.views import View, ViewsConfig, render_views, shape_source
 from gfp_grasp.transforms import apply_T
 from gfp_grasp.types import HANDLE, FittedPrimitive, GenericPrimitive
 
@@ -92,7 +92,9 @@ def bench_registration(
 def _shape_trials(job: tuple[str, int], *, starts: tuple[str, ...], config: RegistrationBench) -> list[dict]:
     family, seed = job
     primitive, rows = load_primitive(family), []
-    for number, view in enumerate(render_views(family, seed, num_views=config.views, first_seed=config.seed)):
+    for number, view in enumerate(
+        render_views(shape_source(family, seed), num_views=config.views, first_seed=config.seed)
+    ):
         for start in starts:
             began = time.perf_counter()
             fit_config = replace(FitConfig(mean_size=config.mean_size), start=start)  # pyright: ignore[reportArgumentType]
@@ -107,7 +109,7 @@ def _shape_trials(job: tuple[str, int], *, starts: tuple[str, ...], config: Regi
 
 def _errors(fit: FittedPrimitive, view: View, primitive: GenericPrimitive) -> dict[str, float | bool]:
     R, R_true = fit.T_world_object[:3, :3], view.T_world_object[:3, :3]
-    mesh, rng = make_shape(view.family, view.seed).mesh, np.random.default_rng(view.seed)
+    mesh, rng = view.source.load_mesh(), np.random.default_rng(view.seed)
     fitted = sample_surface(trimesh.Trimesh(fit.vertices_world(), primitive.faces, process=False), _SAMPLES, rng)[0]
     true = apply_T(view.T_world_object, sample_surface(mesh, _SAMPLES, rng)[0])
     size, size_true = (float(np.linalg.norm(np.ptp(points, axis=0))) for points in (fitted, true))

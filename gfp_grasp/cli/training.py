@@ -62,6 +62,9 @@ def pcrnet(
 @train.command()
 def gfpnet(
     variant: Annotated[str, typer.Option(help="patch, paper-iterative or paper-oneshot.")] = "patch",
+    data: Annotated[
+        Path | None, typer.Option(help="Folder of ModelNet40, ShapeNetCore or of meshes; left out, procedural shapes.")
+    ] = None,
     file: Out = None,
     steps: Steps = None,
     views: Views = 4,
@@ -80,7 +83,15 @@ def gfpnet(
     config = replace(DEFAULTS[chosen], seed=seed, device=device, steps=steps or DEFAULTS[chosen].steps)
     with _bar(f"gfpnet {variant}", config.steps) as report:
         card = train_gfpnet(
-            chosen, config=config, num_views=views, limit=limit, out=file, runs=runs, workers=workers, report=report
+            chosen,
+            config=config,
+            num_views=views,
+            limit=limit,
+            data=data,
+            out=file,
+            runs=runs,
+            workers=workers,
+            report=report,
         )
     out.print(str(card), markup=False)
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 from gfp_grasp.scenes.objects import true_object
 from gfp_grasp.scenes.placing import place_clutter
 from gfp_grasp.scenes.scene_object import SceneObject
-from gfp_grasp.scenes.sources import ObjectSource, load_objects
+from gfp_grasp.scenes.sources import SUFFIXES, ObjectSource, load_objects
 
 if TYPE_CHECKING:
     from gfp_grasp.scenes.build import build_scene, compile_scene, save_scene
@@ -26,6 +26,7 @@ __all__ = [
     "FINGERS",
     "PADS",
     "PALM",
+    "SUFFIXES",
     "ObjectSource",
     "SceneObject",
     "build_scene",

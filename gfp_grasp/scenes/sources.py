@@ -6,6 +6,7 @@ import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import trimesh
@@ -13,6 +14,7 @@ import trimesh
 from gfp_grasp.errors import InvalidOption, UnreadableFile
 from gfp_grasp.meshes import load_mesh
 from gfp_grasp.scenes.objects import Decompose, rested, solid_mesh, true_object
+from gfp_grasp.transforms import make_T, rotation_about
 from gfp_grasp.types import TrueObject
 
 SUFFIXES = (".glb", ".obj", ".off", ".ply", ".stl")
@@ -29,6 +31,8 @@ class ObjectSource:
         family: Procedural family, or "" for a file.
         seed: Of the procedural shape.
         path: Mesh file, or None for a procedural shape.
+        up: Axis of the file that is up, "z" or "y".
+        height_m: Height that the file is scaled to; None where it is in metres.
     """
 
     name: str
@@ -36,14 +40,26 @@ class ObjectSource:
     family: str = ""
     seed: int = 0
     path: Path | None = None
+    up: Literal["z", "y"] = "z"
+    height_m: float | None = None
 
     def load_mesh(self) -> trimesh.Trimesh:
         """The watertight mesh (m, z up, resting on z = 0), without convex parts: enough for looking at it."""
         if self.path is not None:
-            return rested(solid_mesh(load_mesh(self.path)))
+            return rested(solid_mesh(self._in_metres(load_mesh(self.path))))
         from gfp_grasp.shapes import make_shape
 
         return rested(solid_mesh(make_shape(self.family, self.seed)))
+
+    def _in_metres(self, mesh: trimesh.Trimesh) -> trimesh.Trimesh:
+        """The mesh with z up and of the height that it should have."""
+        if self.up == "y":
+            mesh = mesh.copy()
+            mesh.apply_transform(make_T(rotation_about((1, 0, 0), np.pi / 2), np.zeros(3)))
+        if self.height_m is not None:
+            mesh = mesh.copy()
+            mesh.apply_scale(self.height_m / max(float(mesh.extents[2]), 1e-12))
+        return mesh
 
     def load(self, rng: np.random.Generator | None = None, *, decompose: Decompose | None = None) -> TrueObject:
         """The object with parts, mass and friction.

@@ -6,7 +6,7 @@ Letters: o objects, p patches of one, n source points, m template points, c chan
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -15,6 +15,7 @@ import torch
 from torch import Tensor, nn
 
 from gfp_grasp.assets import data_dir
+from gfp_grasp.datasets import layout_of
 from gfp_grasp.deform.gfpnet import (
     MODES,
     WEIGHTS,
@@ -24,6 +25,7 @@ from gfp_grasp.deform.gfpnet import (
     make_network,
 )
 from gfp_grasp.deform.patches import UNIT_M, make_patches, patch_layout
+from gfp_grasp.errors import InvalidOption
 from gfp_grasp.primitives import load_primitive
 from gfp_grasp.register import FitConfig
 from gfp_grasp.shapes import FAMILIES
@@ -49,6 +51,7 @@ def train_gfpnet(
     config: LoopConfig | None = None,
     num_views: int = 4,
     limit: int | None = None,
+    data: Path | None = None,
     out: Path | None = None,
     runs: Path = Path("runs"),
     workers: int = 1,
@@ -62,6 +65,7 @@ def train_gfpnet(
         config: Schedule; None is the variant's own.
         num_views: Views of each shape.
         limit: Shapes of a family; None takes the whole split.
+        data: Folder of meshes, as `read_dataset` takes it; None takes procedural shapes.
         out: Weights file; None is the shipped one.
         runs: Folder of caches and checkpoints.
         workers: Processes that make labels.
@@ -73,7 +77,8 @@ def train_gfpnet(
     """
     config = config or DEFAULTS[variant]
     torch.manual_seed(config.seed)
-    objects, counts = _objects("train", num_views, limit, runs, workers, fit)
+    make = partial(make_labels, num_views=num_views, runs=runs, workers=workers, fit=fit, data=data)
+    objects, counts = _objects(partial(make, split="train", limit=limit))
     network, hours = train(
         make_network(variant),
         augmented(shuffled(objects, config.batch)) if variant == "patch" else shuffled(_single(objects), config.batch),
@@ -83,13 +88,14 @@ def train_gfpnet(
         report=report,
     )
     network = network.half().float()
-    held_out, _ = _objects("val", num_views, None if limit is None else max(1, limit // 4), runs, workers, fit)
+    held_out, _ = _objects(partial(make, split="val", limit=None if limit is None else max(1, limit // 4)))
     return write_weights(
         network,
         out or data_dir("weights") / f"{WEIGHTS[variant]}.safetensors",
         config=config,
         data={
             "families": FAMILIES,
+            "shapes": "procedural" if data is None else layout_of(data),
             "split": "train",
             "shapes_a_family": limit or "all",
             "views_a_shape": num_views,
@@ -244,19 +250,19 @@ def _with_twin(family: str) -> tuple[GenericPrimitive, GenericPrimitive]:
 
 
 def _objects(
-    split: str, num_views: int, limit: int | None, runs: Path, workers: int, fit: FitConfig
+    make: Callable[[str], tuple[list[Label], dict[str, int]]],
 ) -> tuple[Objects, dict[str, dict[str, int]]]:
     """All labelled objects of a split, and how many labels of each class were kept and dropped."""
     columns: list[list[np.ndarray]] = [[] for _ in Objects._fields]
     counts = {}
     for family in FAMILIES:
-        labels, counts[family] = make_labels(
-            family, split, num_views=num_views, limit=limit, runs=runs, workers=workers, fit=fit
-        )
+        labels, counts[family] = make(family)
         for label in labels:
             for column, part in zip(columns, _object(label), strict=True):
                 part = np.asarray(part)
                 column.append(part if part.dtype.kind == "i" else part.astype(np.float16))
+    if not columns[0]:
+        raise InvalidOption(f"no label could be made: {counts}; are there meshes of {', '.join(FAMILIES)}?")
     return Objects(*(torch.from_numpy(np.stack(column)) for column in columns)), counts
 
 

@@ -23,7 +23,6 @@ from gfp_grasp.meshes import crossing_faces, sample_surface, vertex_normals
 from gfp_grasp.parallel import pmap
 from gfp_grasp.primitives import load_primitive
 from gfp_grasp.register import FitConfig, fit_evidence, gather_evidence, handle_is_seen
-from gfp_grasp.shapes import make_shape
 from gfp_grasp.train.views import View, cached_views
 from gfp_grasp.transforms import apply_T, invert_T
 from gfp_grasp.types import FittedPrimitive, GenericPrimitive
@@ -71,11 +70,14 @@ def make_labels(
     limit: int | None = None,
     runs: Path = Path("runs"),
     fit: FitConfig = FitConfig(),
+    data: Path | None = None,
     workers: int = 1,
     progress=None,
 ) -> tuple[list[Label], dict[str, int]]:
     """Labels of the cached views of one split, and how many were kept and dropped for which reason."""
-    views = cached_views(family, split, num_views=num_views, limit=limit, folder=runs / "views", workers=workers)
+    views = cached_views(
+        family, split, num_views=num_views, limit=limit, folder=runs / "views", workers=workers, data=data
+    )
     make = partial(_cached_label, folder=runs / "labels", fit=fit)
     answers = pmap(make, views, workers=workers, progress=progress)
     counts: dict[str, int] = {}
@@ -157,7 +159,7 @@ def _label(view: View, config: FitConfig, num_modes: int, *, support: bool) -> t
     if twin:
         assert fit.primitive.twin is not None
         fit = replace(fit, primitive=fit.primitive.twin)
-    mesh = make_shape(view.family, view.seed).mesh
+    mesh = view.source.load_mesh()
     points, normals, _ = sample_surface(mesh, 12000, np.random.default_rng(view.seed))
     T = invert_T(fit.T_world_object) @ view.T_world_object
     target, residual = label_fit(fit, apply_T(T, points), normals @ T[:3, :3].T)

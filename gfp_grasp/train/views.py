@@ -5,18 +5,25 @@
 
 from __future__ import annotations
 
+import hashlib
+import json
 import os
+import warnings
+import zlib
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 
 import numpy as np
+import trimesh
 
 from gfp_grasp.camera import SensorModel, apply_sensor, cloud_of, intrinsics, render_mesh_view, sample_viewpoint
-from gfp_grasp.errors import InvalidOption
+from gfp_grasp.datasets import read_dataset
+from gfp_grasp.errors import InvalidMesh, InvalidOption
 from gfp_grasp.parallel import pmap
 from gfp_grasp.register.evidence import thin
-from gfp_grasp.shapes import make_shape, split_seeds
+from gfp_grasp.scenes import ObjectSource
+from gfp_grasp.shapes import split_seeds
 from gfp_grasp.transforms import make_T, random_rotation, rotation_about
 from gfp_grasp.types import Detection, OrientedBox, PointCloud, SupportPlane
 
@@ -59,20 +66,28 @@ class View:
     """One partial view with its truth.
 
     Attributes:
-        family: Class.
-        seed: Of the shape.
+        source: The shape.
         points: (n, 3) m; the table is z = 0.
         viewpoint: (3,) m.
-        T_world_object: (4, 4), of the shape's own frame.
+        T_world_object: (4, 4), of the shape's mesh as its source loads it.
         resting: "upright", "upside_down" or "lying".
     """
 
-    family: str
-    seed: int
+    source: ObjectSource
     points: np.ndarray
     viewpoint: np.ndarray
     T_world_object: np.ndarray
     resting: str
+
+    @property
+    def family(self) -> str:
+        """Class of the shape."""
+        return self.source.category
+
+    @property
+    def seed(self) -> int:
+        """Number of the shape within its class."""
+        return seed_of(self.source)
 
     def detection(self, *, category: str | None = None, support: bool = True) -> Detection:
         """The view as a detection of known class, its support known or not."""
@@ -88,17 +103,41 @@ class View:
         )
 
 
+def shape_source(family: str, seed: int) -> ObjectSource:
+    """One procedural shape."""
+    return ObjectSource(f"{family}-{seed}", family, family=family, seed=seed)
+
+
+def training_sources(family: str, split: str, limit: int | None = None, data: Path | None = None) -> list[ObjectSource]:
+    """Shapes of one class to learn from.
+
+    Args:
+        family: Class.
+        split: "train", "val" or "test".
+        limit: At most so many; of the procedural train split there are as many as are asked for.
+        data: Folder of meshes, as `read_dataset` takes it; None takes procedural shapes.
+    """
+    if data is not None:
+        return list(read_dataset(data, split, classes=[family])[:limit])
+    return [shape_source(family, seed) for seed in split_seeds(family, split, limit)]
+
+
+def seed_of(source: ObjectSource) -> int:
+    """A procedural shape's own seed; of a file a number by its name."""
+    return source.seed if source.path is None else zlib.crc32(source.name.encode())
+
+
 def render_views(
-    family: str, seed: int, *, num_views: int, config: ViewsConfig = ViewsConfig(), first_seed: int = 0
+    source: ObjectSource, *, num_views: int, config: ViewsConfig = ViewsConfig(), first_seed: int = 0
 ) -> list[View]:
     """Views of one shape, the same for the same arguments; a shape that is never in sight gives fewer."""
-    shape = make_shape(family, seed)
-    rng = np.random.default_rng([first_seed, seed, sum(map(ord, family))])
+    mesh = source.load_mesh()
+    rng = np.random.default_rng([first_seed, seed_of(source), sum(map(ord, source.category))])
     K = intrinsics(config.width, config.height, config.fov_y_deg)
     views = []
     for _ in range(num_views):
         for _ in range(_TRIES):
-            view = _one_view(shape, rng, K, config)
+            view = _one_view(source, mesh, rng, K, config)
             if view is not None:
                 views.append(view)
                 break
@@ -114,32 +153,29 @@ def cached_views(
     folder: Path = CACHE,
     workers: int = 1,
     config: ViewsConfig = ViewsConfig(),
+    data: Path | None = None,
     progress=None,
 ) -> list[View]:
-    """Views of every shape of a split, rendered where the cache lacks them."""
-    seeds = split_seeds(family, split, limit)
-    jobs = [(family, seed) for seed in seeds]
+    """Views of every shape of a split (see `training_sources`), rendered where the cache lacks them.
+
+    A mesh that cannot be made solid is left out, with a warning.
+    """
+    jobs = training_sources(family, split, limit, data)
     make = partial(_load_or_render, num_views=num_views, folder=folder, config=config)
     return [view for views in pmap(make, jobs, workers=workers, progress=progress) for view in views]
 
 
-def _load_or_render(job: tuple[str, int], *, num_views: int, folder: Path, config: ViewsConfig) -> list[View]:
-    family, seed = job
-    path = folder / family / f"{seed:06d}_{num_views}_{config_id(config)}.npz"
+def _load_or_render(source: ObjectSource, *, num_views: int, folder: Path, config: ViewsConfig) -> list[View]:
+    path = folder / source.category / f"{_cache_name(source)}_{num_views}_{config_id(config)}.npz"
     if path.is_file():
-        with np.load(path) as stored:
-            splits = np.cumsum(stored["count"])[:-1]
-            return [
-                View(family, seed, p.astype(np.float64), v, T, str(r))
-                for p, v, T, r in zip(
-                    np.split(stored["points"], splits),
-                    stored["viewpoint"],
-                    stored["T_world_object"],
-                    stored["resting"],
-                    strict=True,
-                )
-            ]
-    views = render_views(family, seed, num_views=num_views, config=config)
+        return _load(path, source)
+    try:
+        views = render_views(source, num_views=num_views, config=config)
+    except InvalidMesh as error:
+        warnings.warn(f"{source.name} is left out: {error}", stacklevel=2)
+        return []
+    if not views:
+        return []
     path.parent.mkdir(parents=True, exist_ok=True)
     partial_path = path.with_suffix(f".{os.getpid()}.npz")
     np.savez_compressed(
@@ -151,20 +187,41 @@ def _load_or_render(job: tuple[str, int], *, num_views: int, folder: Path, confi
         resting=np.array([v.resting for v in views]),
     )
     partial_path.rename(path)
-    return views
+    return _load(path, source)  # in the precision of the cache, as every later run reads them
+
+
+def _load(path: Path, source: ObjectSource) -> list[View]:
+    with np.load(path) as stored:
+        splits = np.cumsum(stored["count"])[:-1]
+        return [
+            View(source, p.astype(np.float64), v, T, str(r))
+            for p, v, T, r in zip(
+                np.split(stored["points"], splits),
+                stored["viewpoint"],
+                stored["T_world_object"],
+                stored["resting"],
+                strict=True,
+            )
+        ]
+
+
+def _cache_name(source: ObjectSource) -> str:
+    if source.path is None:
+        return f"{source.seed:06d}"
+    content = source.path.read_bytes() + f"{source.up} {source.height_m}".encode()
+    return f"file_{hashlib.sha256(content).hexdigest()[:16]}"
 
 
 def config_id(config: object) -> str:
     """Eight hexadecimal digits that change with any field of a config dataclass."""
-    import hashlib
-    import json
-
     return hashlib.sha256(json.dumps(asdict(config), sort_keys=True).encode()).hexdigest()[:8]  # type: ignore[call-overload]
 
 
-def _one_view(shape, rng: np.random.Generator, K: np.ndarray, config: ViewsConfig) -> View | None:
-    resting, T = _rest(shape.mesh.vertices, rng, config)
-    mesh = shape.mesh.copy()
+def _one_view(
+    source: ObjectSource, shape: trimesh.Trimesh, rng: np.random.Generator, K: np.ndarray, config: ViewsConfig
+) -> View | None:
+    resting, T = _rest(np.asarray(shape.vertices), rng, config)
+    mesh = shape.copy()
     mesh.apply_transform(T)
     target = mesh.bounds.mean(axis=0) + rng.uniform(-0.03, 0.03, 3)
     camera = sample_viewpoint(
@@ -182,7 +239,7 @@ def _one_view(shape, rng: np.random.Generator, K: np.ndarray, config: ViewsConfi
         return None
     cloud = cloud_of(image, mask)
     assert cloud.viewpoint is not None
-    return View(shape.family, shape.seed, thin(cloud.points, config.num_points), cloud.viewpoint, T, resting)
+    return View(source, thin(cloud.points, config.num_points), cloud.viewpoint, T, resting)
 
 
 def _rest(vertices: np.ndarray, rng: np.random.Generator, config: ViewsConfig) -> tuple[str, np.ndarray]:
@@ -212,4 +269,13 @@ def _occlude(mask: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     return cut
 
 
-__all__ = ["View", "ViewsConfig", "cached_views", "config_id", "render_views"]
+__all__ = [
+    "View",
+    "ViewsConfig",
+    "cached_views",
+    "config_id",
+    "render_views",
+    "seed_of",
+    "shape_source",
+    "training_sources",
+]

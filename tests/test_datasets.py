@@ -1,0 +1,111 @@
+"""Data sets on disk load as the same samples whatever their layout."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from gfp_grasp.datasets import LAYOUTS, layout_of, read_dataset
+from gfp_grasp.errors import InvalidOption, UnreadableFile
+from gfp_grasp.shapes import make_shape, split_seeds
+from gfp_grasp.train.labels import make_labels
+from gfp_grasp.train.views import cached_views
+from gfp_grasp.transforms import make_T, rotation_about
+
+SEEDS = split_seeds("mug", "train")[:4]
+
+
+def _mug(number: int) -> trimesh.Trimesh:
+    return make_shape("mug", SEEDS[number]).mesh
+
+
+def _write(layout: str, root: Path) -> Path:
+    """Four mugs and a chair, as the data set would hold them."""
+    chair = trimesh.creation.box((0.4, 0.4, 0.8))
+    for number in range(4):
+        mesh = _mug(number).copy()
+        if layout == "modelnet":
+            mesh.apply_scale(300.0)  # no unit
+            path = root / "mug" / ("test" if number == 3 else "train") / f"mug_{number:04d}.off"
+            other = root / "chair" / "train" / "chair_0001.off"
+        elif layout == "shapenet":
+            mesh.apply_transform(make_T(rotation_about((1, 0, 0), -np.pi / 2), (0, 0, 0)))  # y up
+            mesh.apply_scale(1.0 / np.linalg.norm(mesh.extents))
+            path = root / "03797390" / f"{number:032x}" / "models" / "model_normalized.obj"
+            other = root / "03001627" / f"{9:032x}" / "models" / "model_normalized.obj"
+        else:
+            path, other = root / f"mug__{number}.ply", root / "chair" / "one.ply"
+        for file, content in ((path, mesh), (other, chair)):
+            file.parent.mkdir(parents=True, exist_ok=True)
+            content.export(file)
+    return root
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_every_layout_is_recognised_and_loads_upright_solids_in_metres(layout: str, tmp_path: Path):
+    root = _write(layout, tmp_path)
+    assert layout_of(root) == layout
+    splits = [read_dataset(root, split, classes=["mug"]) for split in ("train", "val", "test")]
+    sources = [source for split in splits for source in split]
+    assert len(sources) == len({source.name for source in sources}) == 4
+    for source in sources:
+        mesh = source.load_mesh()
+        number = int(source.name.split("-")[-1].split("_")[-1], 16)
+        assert mesh.is_volume
+        assert mesh.bounds[0, 2] == pytest.approx(0.0, abs=1e-9)
+        assert 0.04 < mesh.extents[2] < 0.2
+        if layout == "folder":
+            assert mesh.extents == pytest.approx(_mug(number).extents, abs=1e-5)
+        # The same mug but for its size: y up has been turned, and nothing is stretched.
+        assert mesh.extents / mesh.extents[2] == pytest.approx(_mug(number).extents / _mug(number).extents[2], rel=1e-3)
+
+
+@pytest.mark.parametrize("layout", LAYOUTS)
+def test_every_layout_gives_views_and_labels_as_procedural_shapes_do(layout: str, tmp_path: Path):
+    root = _write(layout, tmp_path / "data")
+    views = cached_views("mug", "train", num_views=2, limit=2, folder=tmp_path / "views", data=root)
+    again = cached_views("mug", "train", num_views=2, limit=2, folder=tmp_path / "views", data=root)
+    assert len(views) == len(again) == 4
+    for view, stored in zip(views, again, strict=True):
+        assert np.allclose(view.points, stored.points, atol=1e-6)  # the cache is float32
+        assert view.family == "mug"
+    labels, counts = make_labels("mug", "train", num_views=2, limit=2, runs=tmp_path, data=root)
+    assert sum(counts.values()) == 4
+    for label in labels:
+        assert label.vertices.shape == label.target.shape
+        assert np.abs(label.target - label.vertices).max() < 0.05
+
+
+def test_a_split_holds_and_modelnets_own_test_stays_the_test(tmp_path: Path):
+    root = _write("modelnet", tmp_path)
+    assert [source.name for source in read_dataset(root, "test")] == ["mug_0003"]
+    names = [s.name for split in ("train", "val") for s in read_dataset(root, split)]
+    assert sorted(names) == ["chair_0001", "mug_0000", "mug_0001", "mug_0002"]
+
+
+def test_what_is_no_data_set_is_refused_with_what_is_legal(tmp_path: Path):
+    with pytest.raises(UnreadableFile, match="no folder"):
+        layout_of(tmp_path / "nowhere")
+    with pytest.raises(UnreadableFile, match="ModelNet40"):
+        layout_of(tmp_path)
+    with pytest.raises(InvalidOption, match="train, val, test"):
+        read_dataset(tmp_path, "dev")
+    with pytest.raises(InvalidOption, match="modelnet"):
+        read_dataset(tmp_path, layout="kitti")
+    with pytest.raises(UnreadableFile, match="shapenet"):
+        read_dataset(tmp_path, layout="shapenet")
+
+
+def test_a_mesh_that_cannot_be_made_solid_is_left_out_with_a_warning(tmp_path: Path):
+    root = _write("folder", tmp_path / "data")
+    (root / "mug__flat.ply").write_bytes(
+        trimesh.Trimesh([[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0]], [[0, 1, 2]]).export(file_type="ply")
+    )
+    with pytest.warns(UserWarning, match="flat is left out"):
+        views = [
+            view
+            for split in ("train", "val", "test")
+            for view in cached_views("mug", split, num_views=1, folder=tmp_path / "views", data=root)
+        ]
+    assert len(views) == 4
