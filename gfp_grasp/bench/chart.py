@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
 
 _BAR, _GAP, _NAMES, _PANEL, _MARGIN = 14, 5, 190, 300, 16
+_LINES = ("#1f6f8b", "#d9822b", "#5b8c3e", "#8e4585", "#7a7a7a")
 _OURS, _OTHER, _INK = "#1f6f8b", "#b9c4cb", "#22303a"
 
 
@@ -47,6 +48,54 @@ def write_chart(rows: Mapping[str, Mapping[str, Mapping]], path: Path, *, title:
             colour = _OURS if method == "gfpnet" else _OTHER
             lines.append(f'<rect x="{left}" y="{top}" width="{length:.1f}" height="{_BAR}" fill="{colour}"/>')
             lines.append(_text(left + length + 4, top + _BAR - 3, f"{value:.2f}"))
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("\n".join([*lines, "</svg>"]) + "\n", encoding="utf-8")
+    return path
+
+
+def write_curves(rows: Mapping[str, Sequence[float]], path: Path, *, title: str, axis: str) -> Path:
+    """Draw one line a row over 1, 2, 3 ...
+
+    Args:
+        rows: {name: values, mm}.
+        path: An .svg file.
+        title: Above everything.
+        axis: What is counted along the bottom.
+
+    Returns:
+        The path.
+    """
+    width, height, left, top = 620, 360, 60, 60
+    highest = 1.1 * max(max(values) for values in rows.values())
+    most = max(len(values) for values in rows.values())
+    across, down = (width - left - 190) / max(most - 1, 1), height - top - 50
+
+    def at(i: int, value: float) -> tuple[float, float]:
+        return left + i * across, top + down * (1 - value / highest)
+
+    lines = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height}" viewBox="0 0 {width} {height}"'
+        f' font-family="Helvetica, Arial, sans-serif" font-size="12" fill="{_INK}">',
+        f'<rect width="{width}" height="{height}" fill="white"/>',
+        _text(_MARGIN, 22, title, size=15, weight="bold"),
+        _text(_MARGIN, 40, "Chamfer distance of the predicted patch to its label, mm"),
+        _text(left + across * (most - 1) / 2, height - 10, axis, anchor="middle"),
+    ]
+    for i in range(most):
+        lines.append(_text(left + i * across, height - 30, str(i + 1), anchor="middle"))
+    for k in range(5):
+        y = at(0, highest * k / 4)[1]
+        lines.append(
+            f'<line x1="{left}" x2="{left + across * (most - 1):.1f}" y1="{y:.1f}" y2="{y:.1f}" stroke="#ddd"/>'
+        )
+        lines.append(_text(left - 6, y + 4, f"{highest * k / 4:.1f}", anchor="end"))
+    for number, (name, values) in enumerate(rows.items()):
+        colour = _LINES[number % len(_LINES)]
+        points = " ".join(f"{x:.1f},{y:.1f}" for x, y in (at(i, v) for i, v in enumerate(values)))
+        lines.append(f'<polyline points="{points}" fill="none" stroke="{colour}" stroke-width="2"/>')
+        y = top + 16 * number
+        lines.append(f'<rect x="{width - 180}" y="{y}" width="12" height="4" fill="{colour}"/>')
+        lines.append(_text(width - 162, y + 6, name))
     path.parent.mkdir(parents=True, exist_ok=True)
     path.write_text("\n".join([*lines, "</svg>"]) + "\n", encoding="utf-8")
     return path

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from functools import lru_cache
 from typing import Literal
 
@@ -146,12 +147,25 @@ def mode_field(fit: FittedPrimitive, change: np.ndarray, *, known: bool = True) 
 
 
 class PaperNet(nn.Module):
-    """The paper's siamese encoder and dense decoder: iterative (64-128-1024) or one-shot (64-128-512-1024)."""
+    """The paper's siamese encoder and dense decoder.
 
-    def __init__(self, num_source: int = 64, *, iterative: bool = True, dropout: float = 0.3) -> None:
+    Args:
+        widths: Of the encoder's layers: 64-128-1024 is the paper's iterative network, 64-128-512-1024 its one-shot.
+        iterations: How often the answer is looped back.
+        dropout: Before the last layer.
+        num_source: Points of S.
+    """
+
+    def __init__(
+        self,
+        widths: Sequence[int] = (64, 128, 1024),
+        *,
+        iterations: int = 5,
+        dropout: float = 0.3,
+        num_source: int = 64,
+    ) -> None:
         super().__init__()
-        widths = (64, 128, 1024) if iterative else (64, 128, 512, 1024)
-        self.iterations = 5 if iterative else 1
+        self.iterations = iterations
         self.source = mlp(3, *widths)
         self.template = mlp(3, *widths)
         self.decode = nn.Sequential(
@@ -161,7 +175,7 @@ class PaperNet(nn.Module):
             nn.ReLU(),
             nn.Linear(512, 256),
             nn.ReLU(),
-            nn.Dropout(dropout if iterative else 0.0),
+            nn.Dropout(dropout),
             nn.Linear(256, num_source * 3),
         )
         for layer in self.modules():
@@ -186,8 +200,10 @@ def make_network(variant: Variant) -> nn.Module:
     """
     if variant == "patch":
         return PatchNet()
-    if variant in ("paper-iterative", "paper-oneshot"):
-        return PaperNet(iterative=variant == "paper-iterative")
+    if variant == "paper-iterative":
+        return PaperNet()
+    if variant == "paper-oneshot":
+        return PaperNet((64, 128, 512, 1024), iterations=1, dropout=0.0)
     raise InvalidOption(f"network is {variant!r}; 'patch', 'paper-iterative' or 'paper-oneshot' is expected")
 
 

@@ -38,6 +38,12 @@ class Silhouette:
     certain: bool
     offset_px: np.ndarray
 
+    def pixels(self, points: np.ndarray) -> np.ndarray:
+        """Column and row (n, 2) px at which points (n, 3) m, world, are seen."""
+        camera = apply_T(self.T_camera_world, points)
+        z = np.maximum(camera[:, 2:], 1e-6)
+        return camera[:, :2] / z * self.K[[0, 1], [0, 1]] + self.K[:2, 2]
+
     def trespass(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Points that lie where the view says there is nothing, and the way back.
 
@@ -79,6 +85,8 @@ class Evidence:
         floor_seen: Whether a support was seen; else an occluder may hide how much farther down the object goes.
         silhouette: Or None without a viewpoint.
         sigma_m: Standard deviation of the points' noise.
+        cut: (3,) unit, world, across the line of sight: the side on which something hides how far the object goes on;
+            None where its outline is seen.
     """
 
     points: np.ndarray
@@ -91,6 +99,7 @@ class Evidence:
     floor_seen: bool
     silhouette: Silhouette | None
     sigma_m: float
+    cut: np.ndarray | None = None
 
     def few(self, count: int) -> Evidence:
         """The same with at most count of its points, always the same ones, drawn without order."""

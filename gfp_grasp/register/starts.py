@@ -14,6 +14,7 @@ HYPOTHESIS_COST = {"upright": 0.0, "upside_down": 4.0, "lying": 6.0}
 _STANDING_SIGMA_RAD = np.deg2rad(1.0)
 _LYING_SIGMA_RAD = np.deg2rad(15.0)
 _HANDLE_YAWS = 8
+_CUT = 0.5  # cosine from which on a side counts as the one that is cut off
 
 
 def starts(primitive: GenericPrimitive, evidence: Evidence, hypotheses: tuple[str, ...]) -> list[PoseShape]:
@@ -73,6 +74,12 @@ def _start(
         centre = up * (evidence.floor_m - wide * float((turned @ up).min())) + flat * float(np.median(points @ flat))
     else:
         left, right = (float(a) for a in np.quantile(points @ across, (0.01, 0.99)))
+        if evidence.cut is not None:
+            (low, high), (left, right) = _as_it_goes_on(
+                (low, high), float(np.ptp(turned @ axis)), float(evidence.cut @ axis),
+                (left, right), float(np.ptp(turned @ across)), float(evidence.cut @ across),
+            )  # fmt: skip
+            long = (high - low) / float(np.ptp(turned @ axis))
         wide = max(right - left, 1e-3) / float(np.ptp(turned @ across))
         near = float(np.quantile(points @ deep, 0.99))
         centre = across * (left - wide * float((turned @ across).min())) + deep * (
@@ -90,6 +97,30 @@ def _start(
         axis_sigma_rad=float(axis_sigma_rad),
         hypothesis=hypothesis,
     )
+
+
+def _as_it_goes_on(
+    height: tuple[float, float],
+    own_height: float,
+    cut_up: float,
+    width: tuple[float, float],
+    own_width: float,
+    cut_across: float,
+) -> tuple[tuple[float, float], tuple[float, float]]:
+    """Ends along and across the axis, those that are cut off moved to where the primitive's proportions have them.
+
+    Where both are, the primitive's own size is all that is known.
+    """
+    scale_by_width = (width[1] - width[0]) / own_width if abs(cut_across) < _CUT else 1.0
+    scale_by_height = (height[1] - height[0]) / own_height if abs(cut_up) < _CUT else 1.0
+    ends = []
+    for (low, high), own, cut, scale in (
+        (height, own_height, cut_up, scale_by_width),
+        (width, own_width, cut_across, scale_by_height),
+    ):
+        whole = max(high - low, own * scale)
+        ends.append((high - whole if cut < -_CUT else low, low + whole if cut > _CUT else high))
+    return ends[0], ends[1]
 
 
 def _toward_viewer(evidence: Evidence) -> np.ndarray:

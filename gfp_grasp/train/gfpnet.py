@@ -34,7 +34,7 @@ from gfp_grasp.train.loop import Batch, LoopConfig, shuffled, train, write_weigh
 from gfp_grasp.types import FittedPrimitive, GenericPrimitive
 
 DEFAULTS: dict[Variant, LoopConfig] = {
-    "patch": LoopConfig(steps=4000, batch=16, rate=1e-3, decay=0.7, weight_decay=0.01),  # a batch of whole objects
+    "patch": LoopConfig(steps=8000, batch=16, rate=1e-3, decay=0.7, weight_decay=0.01),  # a batch of whole objects
     # The paper's optimiser, rate and batch; steps are ours.
     "paper-iterative": LoopConfig(steps=400, batch=256),
     "paper-oneshot": LoopConfig(steps=1500, batch=256),
@@ -279,6 +279,14 @@ def _object(label: Label) -> tuple[object, ...]:
         p.source, p.source_normals, p.template, p.template_normals, p.carried, p.pull, p.place, fit_features(fit),
         offset, p.frames, label.scale, number,
     )  # fmt: skip
+
+
+def single_patches(split: str, num_views: int, limit: int | None, runs: Path, workers: int = 1) -> Batch:
+    """S, T and label (b, n, 3) of the patches of a split that see something, as the paper's networks learn from."""
+    objects, _ = _objects(
+        partial(make_labels, split=split, num_views=num_views, limit=limit, runs=runs, workers=workers)
+    )
+    return _single(objects)
 
 
 def _single(objects: Objects) -> Batch:
