@@ -14,7 +14,6 @@ from gfp_grasp.types import DepthImage, Detection, OrientedBox, PointCloud, Supp
 
 # More points than this say nothing new about an object of known class, and cost time.
 MAX_POINTS = 100_000
-_GRAZING_COSINE = 0.08
 _LIFT_M = 0.0005  # a ray starts this far off its own surface
 
 
@@ -96,14 +95,14 @@ def mark_observed(
 
     Returns:
         Observed (v,) bool: in sight of the viewpoint (of nothing, where there is none) and within three sensor
-        sigmas of a point, or of the points' spacing where that is wider; and sigma (v,) m, which where nothing else
-        is known grows by a tenth of the distance to the nearest point.
+        sigmas of a point, or two and a half spacings of the points where that is wider; and sigma (v,) m, which where
+        nothing else is known grows by a tenth of the distance to the nearest point.
     """
     points = detection.cloud.points
     tree = KDTree(points)
     distance = tree.query(vertices)[0]
     spacing = float(np.median(tree.query(points[:: max(1, len(points) // 500)], k=min(2, len(points)))[0][:, -1]))
-    observed = distance < max(3.0 * detection.sensor_sigma_m, 1.5 * spacing)
+    observed = distance < max(3.0 * detection.sensor_sigma_m, 2.5 * spacing)
     if detection.cloud.viewpoint is not None:
         observed &= _in_sight(vertices, faces, detection.cloud.viewpoint)
     rough = np.hypot(detection.sensor_sigma_m, 0.1 * distance)
@@ -114,7 +113,7 @@ def _in_sight(vertices: np.ndarray, faces: np.ndarray, viewpoint: np.ndarray) ->
     normals = vertex_normals(vertices, faces)
     sight = viewpoint - vertices
     sight /= np.linalg.norm(sight, axis=1, keepdims=True)
-    facing = np.einsum("vi,vi->v", normals, sight) > _GRAZING_COSINE
+    facing = np.einsum("vi,vi->v", normals, sight) > 0
     hit, _, _ = cast_rays([vertices[faces]], vertices + _LIFT_M * normals + _LIFT_M * sight, sight)
     return facing & ~np.isfinite(hit)
 

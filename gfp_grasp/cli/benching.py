@@ -78,6 +78,25 @@ def speed(
 
 
 @bench.command()
+def stability(
+    objects: Objects = "cup,mug,bottle",
+    motions: Annotated[int, typer.Option(min=1, help="Rigid motions about up, in all.")] = 200,
+    limit: Limit = 20,
+    workers: Workers = 1,
+    json_file: JsonFile = None,
+    seed: Seed = 0,
+) -> None:
+    """The same call twice, and clouds that were moved."""
+    from gfp_grasp.bench.stability import bench_stability
+
+    report = bench_stability(
+        objects, motions=motions, limit=limit or 20, seed=seed, workers=workers, progress=track("objects")
+    )
+    out.print_json(json.dumps(report))
+    save_json(json_file, report)
+
+
+@bench.command()
 def ablation(
     steps: Annotated[int, typer.Option(min=1, help="Of each network.")] = 200,
     limit: Annotated[int, typer.Option(min=1, help="Shapes of each family.")] = 60,

@@ -62,7 +62,7 @@ def cut_off(evidence: Evidence) -> Evidence:
 def _outline(silhouette: Silhouette) -> np.ndarray:
     """Pixels (o, 2), row and column, of the object's picture that border on what is not."""
     mask = silhouette.free_depth_m == 0
-    return np.argwhere(mask & ~ndimage.binary_erosion(mask))
+    return np.argwhere(mask & np.logical_not(ndimage.binary_erosion(mask)))
 
 
 def _straight_edge(outline: np.ndarray, facing: np.ndarray) -> tuple[np.ndarray, float] | None:
