@@ -85,8 +85,8 @@ class Evidence:
         floor_seen: Whether a support was seen; else an occluder may hide how much farther down the object goes.
         silhouette: Or None without a viewpoint.
         sigma_m: Standard deviation of the points' noise.
-        cut: (3,) unit, world, across the line of sight: the side on which something hides how far the object goes on;
-            None where its outline is seen.
+        cut: (3,) unit, world: normal of the plane through the viewpoint beyond which something hides the object; None
+            where all of its outline is seen.
     """
 
     points: np.ndarray

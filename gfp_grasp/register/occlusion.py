@@ -18,7 +18,8 @@ _FACING_COSINE = 0.5
 _PAIRS = 300
 _ON_LINE_PX = 1.5
 _BEYOND = 0.02  # share of the outline that may lie beyond a straight edge, for noise
-_CONTACT = 0.5  # share of the outline's extent along a straight edge that lies on it
+_MOST = 0.6
+_CONTACT = 0.4  # share of the outline's extent along a straight edge that lies on it
 _LOWEST = 0.04  # share of the points that are the lowest seen
 
 
@@ -52,8 +53,9 @@ def cut_off(evidence: Evidence) -> Evidence:
     answer = replace(evidence, silhouette=replace(silhouette, free_depth_m=depth))
     if line is None:
         return answer
-    row, column = line[0]
-    cut = np.array([column, row, 0.0]) @ silhouette.T_camera_world[:3, :3]
+    (row, column), offset = line
+    cut = np.array([column, row, -offset]) @ silhouette.K @ silhouette.T_camera_world[:3, :3]
+    cut /= np.linalg.norm(cut)
     hides_foot = not evidence.floor_seen and _foot_is_on(line, seen, evidence)
     above, below = evidence.floor_sigma_m
     return replace(answer, cut=cut, floor_sigma_m=(above, np.inf if hides_foot else below))
@@ -81,7 +83,9 @@ def _straight_edge(outline: np.ndarray, facing: np.ndarray) -> tuple[np.ndarray,
     offsets = np.einsum("pi,pi->p", normals, np.concatenate([a, a]))
     beyond = (outline @ normals.T > offsets + _ON_LINE_PX).mean(axis=0)
     on = np.abs(candidates @ normals.T - offsets) < _ON_LINE_PX
-    score = np.where(beyond < _BEYOND, on.sum(axis=0), 0)
+    # The side of a slim bottle is straight too, and a few normals next to it are wrong: most of the line must face.
+    all_on = (np.abs(outline @ normals.T - offsets) < _ON_LINE_PX).sum(axis=0)
+    score = np.where((beyond < _BEYOND) & (on.sum(axis=0) > _MOST * all_on), on.sum(axis=0), 0)
     best = int(np.argmax(score))
     normal = normals[best]
     across = np.array([-normal[1], normal[0]])

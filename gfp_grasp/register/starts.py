@@ -76,8 +76,8 @@ def _start(
         left, right = (float(a) for a in np.quantile(points @ across, (0.01, 0.99)))
         if evidence.cut is not None:
             (low, high), (left, right) = _as_it_goes_on(
-                (low, high), float(np.ptp(turned @ axis)), float(evidence.cut @ axis),
-                (left, right), float(np.ptp(turned @ across)), float(evidence.cut @ across),
+                (low, high), float(np.ptp(turned @ axis)), _cosine_in_picture(evidence, axis),
+                (left, right), float(np.ptp(turned @ across)), _cosine_in_picture(evidence, across),
             )  # fmt: skip
             long = (high - low) / float(np.ptp(turned @ axis))
         wide = max(right - left, 1e-3) / float(np.ptp(turned @ across))
@@ -97,6 +97,16 @@ def _start(
         axis_sigma_rad=float(axis_sigma_rad),
         hypothesis=hypothesis,
     )
+
+
+def _cosine_in_picture(evidence: Evidence, direction: np.ndarray) -> float:
+    """Of a direction, as it is seen, with that in which the object is cut off."""
+    assert evidence.cut is not None
+    assert evidence.viewpoint is not None
+    sight = evidence.viewpoint - evidence.points.mean(axis=0)
+    sight /= np.linalg.norm(sight)
+    seen = direction - (direction @ sight) * sight
+    return float(evidence.cut @ seen / (np.linalg.norm(seen) + 1e-9))
 
 
 def _as_it_goes_on(
