@@ -73,7 +73,9 @@ def test_scale_switched_off_leaves_scale_at_its_start_and_fits_worse():
     mesh = random_cup(np.random.default_rng(5))
     truth, detection = see(mesh, 3)
     rigid = ModesConfig(estimate_modes=False, estimate_scale=False)
-    stiff = fit_primitive(detection, toy_cup_primitive(), config=FitConfig(start="box", quick=rigid, thorough=rigid))
+    stiff = fit_primitive(
+        detection, toy_cup_primitive(), config=FitConfig(start="box", quick=rigid, middle=rigid, thorough=rigid)
+    )
     full = fit_primitive(detection, toy_cup_primitive(), config=BOX)
     assert not stiff.coefficients.any()
     assert _error(full, truth) < _error(stiff, truth)

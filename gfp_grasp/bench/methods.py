@@ -84,10 +84,10 @@ def _detection(sight: Sight) -> Detection:
 
 
 def _without(**switches: object) -> CompleteConfig:
-    """The default with switches of both refinements of its fit."""
+    """The default with switches of all refinements of its fit."""
     fit = FitConfig()
-    quick, thorough = (replace(c, **switches) for c in (fit.quick, fit.thorough))  # type: ignore[arg-type]
-    return CompleteConfig(fit=replace(fit, quick=quick, thorough=thorough))
+    laps = {name: replace(getattr(fit, name), **switches) for name in ("quick", "middle", "thorough")}
+    return CompleteConfig(fit=replace(fit, **laps))
 
 
 _SIMPLE: Mapping[str, Callable[[Sight], trimesh.Trimesh | np.ndarray]] = {

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from gfp_grasp.camera import cast_rays
 from gfp_grasp.errors import FitDiverged, InvalidOption
 from gfp_grasp.register.evidence import Evidence, gather_evidence
-from gfp_grasp.register.modes import judge, refine
+from gfp_grasp.register.modes import free_space_cost, judge, refine
 from gfp_grasp.register.occlusion import cut_off
 from gfp_grasp.register.ovality import round_share
 from gfp_grasp.register.starts import HYPOTHESIS_COST, starts
@@ -23,9 +23,9 @@ _HIDDEN_M = 0.012
 
 _HEAD_STEPS = 2
 # Cost of free space from which on a cloud without its view is taken to be cut off by something nearer: on 48 views each
-# of the validation split and of scans it is at most 8.6 for whole objects, 6.1 with 3 mm of noise, and above 9 for all
-# but one of those of which half is hidden (most are above 20).
-_OCCLUSION = 9.0
+# of the validation split and of scans it is below 10 for whole objects, 6.1 with 3 mm of noise at most, and above 15 for
+# 46 of the 48 of which half is hidden (most are above 20).
+_OCCLUSION = 12.0
 # Of what is cut off, a share of its surface is out of sight; ours, no measurement: less than a seventh seldom is.
 _GOES_ON = 0.15
 _ENDING = 30.0
@@ -34,6 +34,8 @@ _ROUND_M = 0.0003  # ovality of what is round, as made and as its modes show it
 _OCCAM = 3.0  # how much less a round body has to explain, negative log odds; ours
 
 _QUICK = ModesConfig(steps=(0.02, 0.015, 0.01, 0.008, 0.006), num_points=150, num_samples=600)
+_MIDDLE = ModesConfig(steps=(0.01, 0.007, 0.005, 0.004), num_points=250, num_samples=1000)
+_THOROUGH = ModesConfig(steps=(0.004, 0.003, 0.003, 0.003))
 
 HYPOTHESES = ("upright", "upside_down", "lying")
 
@@ -46,10 +48,11 @@ class FitConfig:
         start: "pcrnet" corrects every start by the network, "box" leaves it as the box of the points gives it.
         hypotheses: How the object may rest on the support.
         quick: Refinement of every start.
-        thorough: Refinement of the best few.
+        middle: Refinement of the best few.
+        thorough: Refinement of those of them that are still near the best after that.
         survivors: Share of the starts that outlive the first two quick steps.
-        keep: Starts that are refined thoroughly.
-        behind: A start whose cost is larger than the best's by this half-way through that is given up.
+        keep: Starts of which there is a middle refinement.
+        behind: A start whose cost is larger than the best's by this after that is given up.
         roundness: Ask whether the body is as deep as it is wide.
         mean_size: Every start has the mean size, not the size of the points.
         size: (3,) scale of every start along the primitive's axes; None leaves it to the points or the mean.
@@ -60,7 +63,8 @@ class FitConfig:
     start: Literal["pcrnet", "box"] = "box"
     hypotheses: tuple[str, ...] = HYPOTHESES
     quick: ModesConfig = _QUICK
-    thorough: ModesConfig = field(default_factory=ModesConfig)
+    middle: ModesConfig = _MIDDLE
+    thorough: ModesConfig = _THOROUGH
     survivors: float = 0.4
     keep: int = 3
     behind: float = 15.0
@@ -164,11 +168,7 @@ def _is_cut_off(state: PoseShape, primitive: GenericPrimitive, evidence: Evidenc
     """
     if evidence.silhouette is None or evidence.silhouette.certain or not config.thorough.free_space:
         return False
-    bound, free = (
-        judge([state], primitive, evidence, replace(config.thorough, free_space=free_space))[0].cost
-        for free_space in (True, False)
-    )
-    return bound - free > _OCCLUSION
+    return free_space_cost(state, primitive, evidence, config.thorough) > _OCCLUSION
 
 
 def _race(
@@ -187,16 +187,15 @@ def _race(
 def _finals(
     states: list[PoseShape], primitive: GenericPrimitive, evidence: Evidence, config: FitConfig
 ) -> list[PoseShape]:
-    """The leaders refined thoroughly, best first, and after them those that were given up half-way."""
-    first, second = _halves(config.thorough)
-    states = refine(states, primitive, evidence, first)
+    """The leaders refined to the end, best first, and after them those that were given up half-way."""
+    states = refine(states, primitive, evidence, config.middle)
     blocking = [
         _blocking_cost(s, primitive, evidence, config.thorough) + _ending_cost(s, primitive, evidence) for s in states
     ]
     hopeful = min(total_cost(s) + b for s, b in zip(states, blocking, strict=True)) + config.behind
     go_on = [i for i, s in enumerate(states) if total_cost(s) + blocking[i] <= hopeful]
     # What stands in the line of sight half-way does so at the end.
-    refined = refine([states[i] for i in go_on], primitive, evidence, second)
+    refined = refine([states[i] for i in go_on], primitive, evidence, config.thorough)
     finished = [replace(s, cost=s.cost + blocking[i]) for i, s in zip(go_on, refined, strict=True)]
     given_up = [replace(s, cost=s.cost + blocking[i]) for i, s in enumerate(states) if i not in go_on]
     return sorted(finished, key=total_cost) + given_up
@@ -204,17 +203,11 @@ def _finals(
 
 def _rounder(state: PoseShape, primitive: GenericPrimitive, evidence: Evidence, config: FitConfig) -> PoseShape:
     """The same fit with a body that is as deep as it is wide, where the points do not speak against that."""
-    _, lap = _halves(config.thorough)
-    (round_state,) = refine([state], primitive, evidence, replace(lap, oval_m=_ROUND_M))
-    blocking = _blocking_cost(round_state, primitive, evidence, lap)
+    (round_state,) = refine([state], primitive, evidence, replace(config.thorough, oval_m=_ROUND_M))
+    blocking = _blocking_cost(round_state, primitive, evidence, config.thorough)
     round_state = replace(round_state, cost=round_state.cost + blocking)
     share = round_share(primitive, 2 * _ROUND_M)
     return round_state if round_state.cost - np.log(share) - _OCCAM < state.cost - np.log1p(-share) else state
-
-
-def _halves(config: ModesConfig) -> tuple[ModesConfig, ModesConfig]:
-    half = (len(config.steps) + 1) // 2
-    return replace(config, steps=config.steps[:half]), replace(config, steps=config.steps[half:] or config.steps[-1:])
 
 
 def total_cost(state: PoseShape) -> float:

@@ -20,6 +20,7 @@ def icp_config(*, size: tuple[float, float, float] | None = None) -> FitConfig:
     return replace(
         config,
         quick=replace(_RIGID, steps=config.quick.steps),
+        middle=replace(_RIGID, steps=config.middle.steps),
         thorough=replace(_RIGID, steps=config.thorough.steps),
     )
 

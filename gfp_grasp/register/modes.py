@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gfp_grasp.register.evidence import Evidence
-from gfp_grasp.register.posterior import ShapeModel, linearise, shape_model
+from gfp_grasp.register.posterior import ShapeModel, linearise, seen_empty, shape_model
 from gfp_grasp.register.state import ModesConfig, PoseShape, StateBatch
 from gfp_grasp.types import GenericPrimitive
 
@@ -52,6 +52,12 @@ def judge(
     model = shape_model(primitive, config.num_samples)
     _, _, cost, residual_m = linearise(batch, model, evidence.few(config.num_points), config, config.steps[-1])
     return batch.split(states, cost, residual_m)
+
+
+def free_space_cost(state: PoseShape, primitive: GenericPrimitive, evidence: Evidence, config: ModesConfig) -> float:
+    """What of the cost of a state is that it stands in space seen empty."""
+    model = shape_model(primitive, config.num_samples)
+    return float(seen_empty(StateBatch.of([state]), model, evidence, config, config.steps[-1])[0])
 
 
 def _stepped(batch: StateBatch, model: ShapeModel, H: np.ndarray, g: np.ndarray, config: ModesConfig) -> StateBatch:

@@ -94,6 +94,16 @@ def linearise(
     return sums.H, sums.g, sums.cost, residual_m
 
 
+def seen_empty(
+    batch: StateBatch, model: ShapeModel, evidence: Evidence, config: ModesConfig, robust_m: float
+) -> np.ndarray:
+    """The term of free space alone in the costs (s,)."""
+    sums = _Sums(_Surface(batch, model))
+    if evidence.silhouette is not None:
+        _seen_empty(sums, evidence, config, robust_m)
+    return sums.cost
+
+
 class _Surface:
     """Samples of the surface of every state."""
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from gfp_grasp.register.evidence import Evidence
@@ -27,73 +29,117 @@ def starts(primitive: GenericPrimitive, evidence: Evidence, hypotheses: tuple[st
     for hypothesis in hypotheses:
         if hypothesis == "lying":
             for axis in _long_axes(evidence):
-                found.append(_start(primitive, evidence, hypothesis, axis, up, _LYING_SIGMA_RAD))
+                found.append(_lying(primitive, evidence, axis, up))
             continue
         axis = up if hypothesis == "upright" else -up
+        box = _box_along(axis, toward, evidence, hypothesis)
         for yaw in _yaws(primitive):
-            facing = rotation_about(up, yaw) @ toward
-            found.append(_start(primitive, evidence, hypothesis, axis, facing, _STANDING_SIGMA_RAD))
+            found.append(_standing(primitive, evidence, hypothesis, box, rotation_about(up, yaw) @ toward))
     return found
 
 
-def _start(
-    primitive: GenericPrimitive,
-    evidence: Evidence,
-    hypothesis: str,
-    axis: np.ndarray,
-    facing: np.ndarray,
-    axis_sigma_rad: float,
-) -> PoseShape:
-    """A start whose z is axis and whose x is as near facing as it can be."""
-    x = facing - (facing @ axis) * axis
-    x /= np.linalg.norm(x)
-    R = np.column_stack([x, np.cross(axis, x), axis])
-    up, toward = evidence.up, _toward_viewer(evidence)
-    points = evidence.points
-    turned = primitive.vertices @ R.T
-    low, high = (float(a) for a in np.quantile(points @ axis, (0.005, 0.995)))
-    if hypothesis == "upright":
-        low = min(low, evidence.floor_m)
-    elif hypothesis == "upside_down":
-        high = max(high, -evidence.floor_m)
-    long = max(high - low, 1e-3) / float(np.ptp(turned @ axis))
-    # The side that is seen whole is the one across both the axis and the line of sight: the primitive, with its
-    # handle where this start has it, fills it.
+@dataclass(frozen=True, eq=False)
+class _Box:
+    """What is seen of the points in the frame of one axis.
+
+    Attributes:
+        axis: (3,) unit.
+        across: (3,) unit, across the axis and the line of sight: the side that is seen whole.
+        deep: (3,) unit, across both, towards the viewer.
+        height: Ends along the axis, m.
+        width: Ends across, m.
+        near: Nearest end of the depth, m.
+    """
+
+    axis: np.ndarray
+    across: np.ndarray
+    deep: np.ndarray
+    height: tuple[float, float]
+    width: tuple[float, float]
+    near: float
+
+
+def _box_along(axis: np.ndarray, toward: np.ndarray, evidence: Evidence, hypothesis: str) -> _Box:
     across = np.cross(axis, toward)
-    if np.linalg.norm(across) < 0.3:
-        across = np.cross(axis, up)
     across /= np.linalg.norm(across)
     deep = np.cross(across, axis)
     deep *= np.sign(deep @ toward) or 1.0
-    if hypothesis == "lying":
-        # What lies is as high as it is thick, and its middle is half of that above the support.
-        top = max(float(np.quantile(points @ up, 0.99)) - evidence.floor_m, 1e-3)
-        wide = top / float(np.ptp(turned @ up))
-        flat = np.cross(up, axis)
-        flat /= np.linalg.norm(flat)
-        centre = up * (evidence.floor_m - wide * float((turned @ up).min())) + flat * float(np.median(points @ flat))
+    along, aside, depth = (evidence.points @ np.column_stack([axis, across, deep])).T
+    low, high = (float(a) for a in np.quantile(along, (0.005, 0.995)))
+    if hypothesis == "upright":
+        low = min(low, evidence.floor_m)
     else:
-        left, right = (float(a) for a in np.quantile(points @ across, (0.01, 0.99)))
-        if evidence.cut is not None:
-            (low, high), (left, right) = _as_it_goes_on(
-                (low, high), float(np.ptp(turned @ axis)), _cosine_in_picture(evidence, axis),
-                (left, right), float(np.ptp(turned @ across)), _cosine_in_picture(evidence, across),
-            )  # fmt: skip
-            long = (high - low) / float(np.ptp(turned @ axis))
-        wide = max(right - left, 1e-3) / float(np.ptp(turned @ across))
-        near = float(np.quantile(points @ deep, 0.99))
-        centre = across * (left - wide * float((turned @ across).min())) + deep * (
-            near - wide * float((turned @ deep).max())
-        )
-    centre = centre + axis * (low - long * float((turned @ axis).min()))
+        high = max(high, -evidence.floor_m)
+    left, right = (float(a) for a in np.quantile(aside, (0.01, 0.99)))
+    return _Box(axis, across, deep, (low, high), (left, right), float(np.quantile(depth, 0.99)))
+
+
+def _standing(
+    primitive: GenericPrimitive, evidence: Evidence, hypothesis: str, box: _Box, facing: np.ndarray
+) -> PoseShape:
+    """A start that stands on either end and whose x is as near facing as it can be.
+
+    The primitive, with its handle where this start has it, fills the side that is seen whole.
+    """
+    R = _frame(box.axis, facing)
+    along, aside, depth = (primitive.vertices @ (R.T @ np.column_stack([box.axis, box.across, box.deep]))).T
+    (low, high), (left, right) = box.height, box.width
+    if evidence.cut is not None:
+        (low, high), (left, right) = _as_it_goes_on(
+            box.height, float(np.ptp(along)), _cosine_in_picture(evidence, box.axis),
+            box.width, float(np.ptp(aside)), _cosine_in_picture(evidence, box.across),
+        )  # fmt: skip
+    long = max(high - low, 1e-3) / float(np.ptp(along))
+    wide = max(right - left, 1e-3) / float(np.ptp(aside))
+    centre = (
+        box.across * (left - wide * float(aside.min()))
+        + box.deep * (box.near - wide * float(depth.max()))
+        + box.axis * (low - long * float(along.min()))
+    )
+    return _state(primitive, R, centre, wide, long, _STANDING_SIGMA_RAD, hypothesis)
+
+
+def _lying(primitive: GenericPrimitive, evidence: Evidence, axis: np.ndarray, up: np.ndarray) -> PoseShape:
+    """A start that lies along an axis: as high as it is thick, its middle half of that above the support."""
+    R = _frame(axis, up)
+    flat = np.cross(up, axis)
+    flat /= np.linalg.norm(flat)
+    along, height = (primitive.vertices @ (R.T @ np.column_stack([axis, up]))).T
+    seen_along, seen_height, seen_aside = (evidence.points @ np.column_stack([axis, up, flat])).T
+    low, high = (float(a) for a in np.quantile(seen_along, (0.005, 0.995)))
+    long = max(high - low, 1e-3) / float(np.ptp(along))
+    wide = max(float(np.quantile(seen_height, 0.99)) - evidence.floor_m, 1e-3) / float(np.ptp(height))
+    centre = (
+        up * (evidence.floor_m - wide * float(height.min()))
+        + flat * float(np.median(seen_aside))
+        + axis * (low - long * float(along.min()))
+    )
+    return _state(primitive, R, centre, wide, long, _LYING_SIGMA_RAD, "lying")
+
+
+def _frame(axis: np.ndarray, facing: np.ndarray) -> np.ndarray:
+    """Rotation (3, 3) whose z is axis and whose x is as near facing as it can be."""
+    x = facing - (facing @ axis) * axis
+    x /= np.linalg.norm(x)
+    return np.column_stack([x, np.cross(axis, x), axis])
+
+
+def _state(
+    primitive: GenericPrimitive,
+    R: np.ndarray,
+    centre: np.ndarray,
+    wide: float,
+    long: float,
+    axis_sigma_rad: float,
+    hypothesis: str,
+) -> PoseShape:
     sigma = 2.0 * np.sqrt(np.diag(primitive.log_scale_cov) + 1e-4)
-    log_scale = np.clip(np.log([wide, wide, long]), -sigma, sigma)
     return PoseShape(
         R=R,
         t=centre,
-        log_scale=np.asarray(log_scale),
+        log_scale=np.clip(np.log([wide, wide, long]), -sigma, sigma),
         coefficients=np.zeros(len(primitive.modes)),
-        axis_world=axis,
+        axis_world=R[:, 2],
         axis_sigma_rad=float(axis_sigma_rad),
         hypothesis=hypothesis,
     )

@@ -1,0 +1,114 @@
+"""Views, methods, pictures and the smaller benches."""
+
+import xml.etree.ElementTree as ElementTree
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from gfp_grasp.bench.ablation import AblationConfig, bench_ablation
+from gfp_grasp.bench.chart import write_chart, write_curves
+from gfp_grasp.bench.completion import CompletionBench, bench_completion
+from gfp_grasp.bench.methods import BRIEF, METHODS, config_of
+from gfp_grasp.bench.speed import SIZES, bench_speed
+from gfp_grasp.bench.stability import bench_stability
+from gfp_grasp.bench.views import PROTOCOLS, in_sight, see
+from gfp_grasp.errors import InvalidOption
+from gfp_grasp.meshes import sample_surface
+from gfp_grasp.shapes import make_shape
+
+
+def test_protocols_show_the_same_object_as_they_say():
+    mesh = make_shape("bottle", 3).mesh
+    sights = {name: see(mesh, np.random.default_rng(4), protocol=name) for name in PROTOCOLS}
+    points = {name: len(sight.cloud.points) for name, sight in sights.items()}
+    assert 0.4 * points["standard"] < points["hidden"] < 0.6 * points["standard"]
+    tall = {name: float(np.ptp(sight.mesh.vertices[:, 2])) for name, sight in sights.items()}
+    assert tall["standard"] == pytest.approx(tall["noisy"]) == pytest.approx(np.ptp(mesh.vertices[:, 2]))
+    turned = [see(mesh, np.random.default_rng(i), protocol="fallen").T_world_object[2, 2] for i in range(12)]
+    assert {round(float(z)) for z in turned} == {-1, 0}  # upside down, and lying
+    for sight in sights.values():  # all of the cloud belongs to the object, within the noise
+        extent = np.ptp(sight.mesh.vertices, axis=0)
+        assert (sight.cloud.points > sight.mesh.bounds[0] - 0.02 - 0.05 * extent).all()
+
+
+def test_points_behind_the_object_are_not_in_sight():
+    sight = see(make_shape("bottle", 3).mesh, np.random.default_rng(4))
+    points, normals, _ = sample_surface(sight.mesh, 2000, np.random.default_rng(0))
+    viewpoint = sight.cloud.viewpoint
+    assert viewpoint is not None
+    seen = in_sight(sight.mesh, points, normals, viewpoint)
+    assert 0.25 < seen.mean() < 0.6
+    assert (np.einsum("ni,ni->n", viewpoint - points, normals)[seen] > 0).all()
+
+
+def test_every_method_has_a_config_or_needs_none():
+    sight = see(make_shape("mug", 3).mesh, np.random.default_rng(4))
+    assert len(METHODS) == len(set(METHODS))
+    assert set(BRIEF) <= set(METHODS)
+    for name in METHODS:
+        if name not in ("partial", "hull", "mirror"):
+            config, tells_class = config_of(name, sight, "mug")
+            assert tells_class == name.startswith(("icp", "pcrnet"))
+            assert (config.fit.size is not None) == name.endswith("-sized")
+    off = config_of("gfpnet-no-modes")[0].fit
+    assert not off.quick.estimate_modes
+    assert not off.thorough.estimate_modes
+    assert config_of("gfpnet-paper-7")[0].deform.iterations == 7
+
+
+def test_rows_say_whether_observed_and_sigma_are_honest():
+    report: Any = bench_completion("cup", methods=("registration",), config=CompletionBench(views=2, limit=1))
+    row = report["rows"]["all"]["registration"]
+    for name in ("seen_precision", "seen_recall", "two_sigma", "iou", "f_score"):
+        assert 0 < row[name] <= 1, name
+    assert -1 <= row["sigma_rank"] <= 1
+    with pytest.raises(InvalidOption, match="hidden"):
+        CompletionBench(protocol="upside")
+
+
+def test_charts_are_drawings_with_every_row(tmp_path: Path):
+    rows = {c: {"gfpnet": {"cd_m": 0.004}, "a <b>": {"cd_m": 0.012}, "none": {"cd_m": None}} for c in ("cup", "all")}
+    words = _words(write_chart(rows, tmp_path / "rows.svg", title="Rows & columns"))
+    assert {"cup", "all", "gfpnet", "a <b>", "4.00", "12.00", "Rows & columns"} <= words
+    assert "none" not in words
+    words = _words(write_curves({"3 layers": [3.0, 2.0, 1.5]}, tmp_path / "lines.svg", title="T", axis="iterations"))
+    assert {"3 layers", "iterations", "1", "2", "3"} <= words
+
+
+def _words(path: Path) -> set[str]:
+    return {element.text or "" for element in ElementTree.parse(path).getroot().iter()}
+
+
+def test_speed_and_stability_report_what_they_ran():
+    speed: Any = bench_speed("bottle", limit=1, calls=2)
+    assert set(speed["sizes"]) == {str(size) for size in SIZES}
+    for figures in (*speed["sizes"].values(), speed["all"]):
+        assert figures["median_ms"] >= sum(figures["stages_ms"].values()) * 0.5
+        assert {"detect", "register", "deform", "parts"} <= set(figures["stages_ms"])
+    assert set(speed["registration_ms"]) == {"icp", "pcrnet", "registration"}
+    assert len(speed["memory"]["rss_mb"]) == 2
+    stable: Any = bench_stability("bottle", motions=2, limit=1)
+    assert stable["same_bits"]
+    assert stable["motions"] == 2
+    assert stable["moved_mm"][2] < 2.0
+    with pytest.raises(InvalidOption):
+        bench_stability(motions=0)
+    with pytest.raises(InvalidOption):
+        bench_speed(limit=0)
+
+
+def test_an_ablation_that_was_stopped_goes_on_with_the_rows_it_lacks(tmp_path: Path):
+    config, begun = AblationConfig(steps=2, batch=8, limit=2, views=1), []
+    report: Any = bench_ablation(config=config, runs=tmp_path, report=begun.append)
+    assert len(begun) == len(report["rows"]) == 5
+    for row in report["rows"].values():
+        assert len(row["cd_mm"]) == 7
+        assert min(row["cd_mm"]) > 0
+    next(iter((tmp_path / "ablation").rglob("*4_layers*.json"))).unlink()
+    again = bench_ablation(config=config, runs=tmp_path, report=begun.append)
+    assert begun[5:] == ["4 layers"]
+    assert set(again["rows"]) == set(report["rows"])  # type: ignore[call-overload]
+    with pytest.raises(InvalidOption):
+        AblationConfig(steps=0)
