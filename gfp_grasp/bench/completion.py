@@ -10,9 +10,11 @@ from __future__ import annotations
 import hashlib
 import time
 import warnings
+import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -68,6 +70,7 @@ def bench_completion(
     *,
     methods: Sequence[str] = METHODS,
     config: CompletionBench = CompletionBench(),
+    known: Mapping[str, Any] | None = None,
     workers: int = 1,
     progress=None,
 ) -> dict[str, object]:
@@ -78,6 +81,7 @@ def bench_completion(
             that has no primitive are left out.
         methods: Some of METHODS.
         config: Views and noise.
+        known: Report of an earlier run, whose trials are kept if its settings are the same; else all are made again.
         workers: Processes.
         progress: Wraps the stream of finished views.
 
@@ -97,14 +101,19 @@ def bench_completion(
         raise InvalidOption(f"unknown methods {sorted(unknown)}; legal are {', '.join(METHODS)}")
     classes = list_primitives()
     sources = [s for s in load_objects(objects, split=config.split, limit=config.limit) if s.category in classes]
-    jobs = [(source, view) for source in sources for view in range(config.views)]
+    settings = {"objects": [s.name for s in sources], "samples": _SAMPLES, **asdict(config)}
+    kept: dict[tuple[str, int], list[dict]] = {}
+    if known is not None and known["settings"] == settings:
+        for row in known["trials"]:
+            kept.setdefault((row["object"], row["view"]), []).append(row)
+        methods = tuple(m for m in METHODS if m in methods or m in {row["method"] for row in known["trials"]})
+    jobs = [(source, view, kept.get((source.name, view), [])) for source in sources for view in range(config.views)]
     trials = pmap(partial(_trials, methods=tuple(methods), config=config), jobs, workers=workers, progress=progress)
     flat = [row for rows in trials for row in rows]
     by_class = {
         c: [r for r in flat if c in ("all", r["category"])] for c in (*sorted({s.category for s in sources}), "all")
     }
     rivals = [m for m in methods if m.startswith(("gfs", "gfpnet")) and UNDEFORMED in methods]
-    settings = {"objects": [s.name for s in sources], "samples": _SAMPLES, **asdict(config)}
     return {
         "settings": settings,
         "rows": {
@@ -116,13 +125,18 @@ def bench_completion(
 
 
 def _trials(job, *, methods: tuple[str, ...], config: CompletionBench) -> list[dict]:
-    source, number = job
+    source, number, kept = job
+    done = {row["method"]: row for row in kept}
     name_seed = int.from_bytes(hashlib.sha256(source.name.encode()).digest()[:4], "little")
     rng = np.random.default_rng([config.seed, number, name_seed])
     sight = see(source.load_mesh(), rng, protocol=config.protocol, noise_m=config.noise_m)
     truth = visible_surface(sight.mesh, _SAMPLES, rng)
     rows = []
     for method in methods:
+        if method in done:
+            rows.append(done[method])
+            continue
+        own = np.random.default_rng([config.seed, number, name_seed, zlib.crc32(method.encode())])
         row = {"object": source.name, "category": source.category, "view": number, "method": method}
         start = time.perf_counter()
         try:
@@ -131,7 +145,7 @@ def _trials(job, *, methods: tuple[str, ...], config: CompletionBench) -> list[d
                 told = source.category if config.give_category else None
                 answer = run_method(method, sight, told, source.category)
             row["ms"] = round(1000 * (time.perf_counter() - start), 1)
-            row |= _errors(answer, sight, truth, rng)
+            row |= _errors(answer, sight, truth, own)
         except GfpGraspError as error:
             row["ms"] = round(1000 * (time.perf_counter() - start), 1)
             row |= {"cd_m": None, "f_score": 0.0, "error": type(error).__name__}

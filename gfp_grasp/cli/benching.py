@@ -26,6 +26,9 @@ def completion(
     workers: Workers = 1,
     json_file: JsonFile = None,
     picture: Annotated[Path | None, typer.Option(dir_okay=False, help="Draw the rows to this .svg file.")] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Keep what the --json file has of the same settings.")
+    ] = False,
     seed: Seed = 0,
 ) -> None:
     """Completions against the truth, on random views."""
@@ -36,7 +39,10 @@ def completion(
     named = {"all": METHODS, "brief": BRIEF}
     chosen = named[methods] if methods in named else tuple(methods.split(","))
     config = CompletionBench(views, seed, split, limit, given, noise_m, protocol)
-    report = bench_completion(objects, methods=chosen, config=config, workers=workers, progress=track("views"))
+    known = json.loads(json_file.read_text()) if resume and json_file is not None and json_file.is_file() else None
+    report = bench_completion(
+        objects, methods=chosen, config=config, known=known, workers=workers, progress=track("views")
+    )
     rows = report["rows"]
     assert isinstance(rows, Mapping)
     for category, figures in rows.items():

@@ -1,7 +1,7 @@
 """What the commands share: consoles, progress bars, options that several of them have."""
 
 import json
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, TypeVar
 
@@ -75,7 +75,13 @@ def vector(text: str | None, name: str) -> list[float] | None:
 
 
 def save_json(path: Path | None, content: object) -> None:
-    """Write figures to the file that the user named, if any."""
-    if path is not None:
-        path.parent.mkdir(parents=True, exist_ok=True)
+    """Write figures to the file that the user named, if any; trials, of which there are many, one a line."""
+    if path is None:
+        return
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if not isinstance(content, Mapping) or "trials" not in content:
         path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+        return
+    head = json.dumps({name: value for name, value in content.items() if name != "trials"}, indent=1)
+    trials = ",\n".join(json.dumps(trial) for trial in content["trials"])
+    path.write_text(f'{head[:-2]},\n "trials": [\n{trials}\n ]\n}}\n', encoding="utf-8")
