@@ -117,7 +117,7 @@ def test_a_function_that_returns_no_mesh_is_refused():
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("magic", "oracle, observed, mirror, registration, gfpnet"),
+        ("magic", "oracle, observed, mirror, icp, pcrnet, registration, gfs"),
         ("no_such_module:complete", "cannot be imported"),
         ("own_completers:missing", "cannot be imported"),
         ("own_completers:NOT_A_FUNCTION", "is a int, not a function"),
@@ -129,7 +129,7 @@ def test_an_unknown_completer_is_told_what_there_is(name, message):
         completer(name)
 
 
-@pytest.mark.parametrize("name", ["registration", "gfpnet"])
+@pytest.mark.parametrize("name", ["icp", "pcrnet", "registration", "gfs", "gfpnet-oneshot", "gfpnet-paper", "gfpnet"])
 def test_the_packages_own_methods_complete_the_cylinder(name):
     completion = completer(name)(detection_of(front_of_cylinder()))
     assert completion.mesh.is_volume

@@ -8,7 +8,7 @@ from scipy.spatial import KDTree
 from toy_primitive import random_cup, see, toy_cup_primitive
 
 from gfp_grasp.deform import DeformConfig, SnakeConfig, deform, evolve, template_points
-from gfp_grasp.deform.gfpnet import PaperNet, PatchNet, make_network
+from gfp_grasp.deform.gfpnet import FIT, PaperNet, PatchNet, make_network
 from gfp_grasp.deform.patches import NUM_SOURCE, NUM_TEMPLATE, blend, make_patches
 from gfp_grasp.deform.settle import damp_until_solid, diffuse
 from gfp_grasp.errors import InvalidOption
@@ -88,11 +88,12 @@ def test_default_network_is_equivariant_to_the_order_of_source_points():
         torch.nn.init.normal_(weights)
     s, sn, t, tn = (torch.randn(2, 3, 64, 3, dtype=torch.float64) for _ in range(4))
     c, pull, place = torch.zeros(2, 3, 64).double(), torch.randn(2, 3, 64, 8).double(), torch.rand(2, 3, 10).double()
-    order = torch.randperm(64)
-    offset, sigma = network(s, sn, t, tn, c, pull, place)
-    permuted, permuted_sigma = network(s[:, :, order], sn[:, :, order], t, tn, c, pull[:, :, order], place)
-    assert torch.allclose(permuted, offset[:, :, order])
-    assert torch.allclose(permuted_sigma, sigma[:, :, order])
+    order, fit = torch.randperm(64), torch.randn(2, FIT).double()
+    offset, sigma, change = network(s, sn, t, tn, c, pull, place, fit)
+    permuted = network(s[:, :, order], sn[:, :, order], t, tn, c, pull[:, :, order], place, fit)
+    assert torch.allclose(permuted[0], offset[:, :, order])
+    assert torch.allclose(permuted[1], sigma[:, :, order])
+    assert torch.allclose(permuted[2], change)
 
 
 def test_a_patch_that_sees_nothing_is_told_by_the_others_and_not_by_points_that_are_not_its_own():
@@ -103,11 +104,12 @@ def test_a_patch_that_sees_nothing_is_told_by_the_others_and_not_by_points_that_
     s, sn, t, tn = (torch.randn(1, 2, 64, 3) for _ in range(4))
     c, pull, place = torch.zeros(1, 2, 64), torch.zeros(1, 2, 64, 8), torch.rand(1, 2, 10)
     place[0, 1, -1] = 0.0
+    fit = torch.randn(1, FIT)
     other_own, other_neighbour = t.clone(), t.clone()
     other_own[0, 1], other_neighbour[0, 0] = torch.randn(64, 3), torch.randn(64, 3)
-    hidden = network(s, sn, t, tn, c, pull, place)[0][0, 1]
-    assert torch.equal(network(s, sn, other_own, tn, c, pull, place)[0][0, 1], hidden)
-    assert not torch.allclose(network(s, sn, other_neighbour, tn, c, pull, place)[0][0, 1], hidden)
+    hidden = network(s, sn, t, tn, c, pull, place, fit)[0][0, 1]
+    assert torch.equal(network(s, sn, other_own, tn, c, pull, place, fit)[0][0, 1], hidden)
+    assert not torch.allclose(network(s, sn, other_neighbour, tn, c, pull, place, fit)[0][0, 1], hidden)
 
 
 def test_paper_network_answers_with_a_set_that_forgets_the_order_of_its_source():
