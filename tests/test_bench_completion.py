@@ -5,6 +5,7 @@ from typing import Any
 import pytest
 
 from gfp_grasp.bench.completion import CompletionBench, bench_completion
+from gfp_grasp.bench.paper import table_one
 from gfp_grasp.bench.summary import paired_gain
 from gfp_grasp.errors import InvalidOption
 
@@ -43,6 +44,25 @@ def test_pairs_tell_gain_interval_and_wins():
     assert paired["gain_share"] == pytest.approx(0.2)
     assert paired["wins"] == 0.75
     assert paired["ci95_m"] == pytest.approx([0.0, 0.002])  # two objects: the mean of either alone
+
+
+def test_a_bench_goes_on_where_an_earlier_one_of_the_same_settings_was_stopped():
+    config = CompletionBench(views=1, limit=1)
+    first: Any = bench_completion("bottle", methods=("partial", "registration"), config=config)
+    more: Any = bench_completion("bottle", methods=("gfs",), config=config, known=first)
+    assert list(more["rows"]["bottle"]) == ["partial", "registration", "gfs"]
+    assert more["trials"][:2] == first["trials"]
+    other: Any = bench_completion(
+        "bottle", methods=("partial",), config=CompletionBench(1, seed=1, limit=1), known=first
+    )
+    assert len(other["trials"]) == 1
+
+
+def test_the_papers_table_stands_beside_the_same_methods_here():
+    table = table_one({"cup": {"pcrnet": {"cd_m": 0.02}, "pcrnet-gfs-sized": {"cd_m": 0.004}}})
+    assert table["PCRNet"]["cup"] == {"paper_m": 0.109, "rigid_m": 0.02, "sized_m": None}
+    assert table["GFS"]["cup"]["sized_m"] == 0.004
+    assert table["GFPNet"]["bottle"] == {"paper_m": 0.009, "rigid_m": None, "sized_m": None}
 
 
 def test_bench_of_an_unknown_method_is_refused():

@@ -22,6 +22,7 @@ from scipy.spatial import KDTree
 from scipy.stats import rankdata
 
 from gfp_grasp.bench.methods import METHODS, UNDEFORMED, Answer, run_method
+from gfp_grasp.bench.paper import table_one
 from gfp_grasp.bench.summary import paired_gain, summary
 from gfp_grasp.bench.views import PROTOCOLS, Sight, in_sight, see
 from gfp_grasp.errors import GfpGraspError, InvalidOption
@@ -86,11 +87,13 @@ def bench_completion(
         progress: Wraps the stream of finished views.
 
     Returns:
-        {"settings", "rows": {class: {method: figures}}, "paired": {class: {method: gain}}, "trials": [...]}. Figures
-        are those of `summary`: Chamfer distance `cd_m`, `f_score` at 5 mm, `iou` of solids, the median of the size's
-        relative error, milliseconds; of the library's own answers also how much of what is marked as observed was
-        (`seen_precision`) and the other way round (`seen_recall`), the rank correlation of sigma with the true error
-        (`sigma_rank`) and the share of vertices within two sigma (`two_sigma`). Pairs set each of the package's
+        {"settings", "rows": {class: {method: figures}}, "paper_table_one" as of `table_one`, "paired": {class: {method:
+        gain}}, "trials": [...]}.
+
+        Figures are those of `summary`: Chamfer distance `cd_m`, `f_score` at 5 mm, `iou` of solids, the median of the
+        size's relative error, milliseconds; of the library's own answers also how much of what is marked as observed
+        was (`seen_precision`) and the other way round (`seen_recall`), the rank correlation of sigma with the true
+        error (`sigma_rank`) and the share of vertices within two sigma (`two_sigma`). Pairs set each of the package's
         methods against "registration", the same fit undeformed, on the same view (see `paired_gain`).
 
     Raises:
@@ -114,11 +117,11 @@ def bench_completion(
         c: [r for r in flat if c in ("all", r["category"])] for c in (*sorted({s.category for s in sources}), "all")
     }
     rivals = [m for m in methods if m.startswith(("gfs", "gfpnet")) and UNDEFORMED in methods]
+    table = {c: {m: summary([r for r in rows if r["method"] == m]) for m in methods} for c, rows in by_class.items()}
     return {
         "settings": settings,
-        "rows": {
-            c: {m: summary([r for r in rows if r["method"] == m]) for m in methods} for c, rows in by_class.items()
-        },
+        "rows": table,
+        "paper_table_one": table_one(table),
         "paired": {c: {m: paired_gain(rows, m, UNDEFORMED) for m in rivals} for c, rows in by_class.items()},
         "trials": flat,
     }
