@@ -23,7 +23,7 @@ ROWS = (
 ROW_OF = {room: row for row, rooms in enumerate(ROWS) for room in rooms}
 # A prefix of the module's name under gfp_grasp, for each library that is slow to load or can crash.
 HEAVY = {
-    "torch": ("register.", "detect.", "deform.", "train."),
+    "torch": ("register.", "detect.", "deform.", "train.", "bench.ablation"),
     "coacd": ("collision.",),
     "mujoco": ("scenes", "camera.render", "envs."),
 }
