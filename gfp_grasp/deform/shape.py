@@ -16,8 +16,8 @@ from gfp_grasp.errors import InvalidOption
 from gfp_grasp.transforms import apply_T, invert_T
 from gfp_grasp.types import Detection, FittedPrimitive
 
-# A patch's own offset is believed so far. On the validation split offsets are mostly shorter, and where they are longer,
-# as on shapes unlike those learnt, more is lost by them than won.
+# A patch's own offset is believed so far. On the validation split most are shorter, and by those that are longer, on
+# shapes unlike those learnt, more is lost than won.
 _FARTHEST_M = 0.002
 
 Method = Literal["gfpnet", "gfpnet-paper", "gfpnet-oneshot", "gfs", "none"]
