@@ -85,7 +85,9 @@ def test_a_handle_behind_the_body_is_not_seen_and_one_at_the_side_is():
 
 
 def test_cups_and_mugs_count_apart_only_where_a_handle_is_seen(tmp_path, monkeypatch):
-    monkeypatch.setattr("gfp_grasp.train.views.split_seeds", lambda family, split, limit: split_seeds(family, split)[:3])
+    monkeypatch.setattr(
+        "gfp_grasp.train.views.split_seeds", lambda family, split, limit: split_seeds(family, split)[:3]
+    )
     examples = family_examples("val", num_views=2, folder=tmp_path)
     assert {e.answers for e in examples if e.category == "mug"} <= {("mug",), ("cup", "mug")}
     assert {e.answers for e in examples if e.category == "cup"} == {("cup",)}
@@ -99,7 +101,9 @@ def test_cups_and_mugs_count_apart_only_where_a_handle_is_seen(tmp_path, monkeyp
 
 @pytest.mark.slow
 def test_training_runs_resumes_and_leaves_weights_with_a_card(tmp_path, monkeypatch):
-    monkeypatch.setattr("gfp_grasp.train.views.split_seeds", lambda family, split, limit: split_seeds(family, split)[:4])
+    monkeypatch.setattr(
+        "gfp_grasp.train.views.split_seeds", lambda family, split, limit: split_seeds(family, split)[:4]
+    )
     config = ClassifierConfig(steps=6, batch=8, width=8, views=1, foreign=8)
     metrics = train_classifier(config, out=tmp_path / "out", cache=tmp_path)
     first = (tmp_path / "out" / "classifier.safetensors").read_bytes()
