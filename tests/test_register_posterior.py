@@ -115,7 +115,7 @@ def test_the_edge_of_what_hides_is_found_and_says_on_which_side():
     detection = _detection("bottle", 1)
     points, whole = detection.cloud.points, gather_evidence(detection)
     assert whole.silhouette is not None
-    row = whole.silhouette.pixels(points)[:, 1]
+    row = whole.silhouette.pixels(points)[0][:, 1]
     upper = points[row < np.median(row)]  # a board before the lower half
     evidence = gather_evidence(replace(detection, cloud=replace(detection.cloud, points=upper), support=None))
     assert evidence.cut is None

@@ -27,13 +27,7 @@ def write_chart(rows: Mapping[str, Mapping[str, Mapping]], path: Path, *, title:
     longest = max((_cd_mm(rows[c][m]) or 0.0 for c in classes for m in methods), default=1.0) or 1.0
     width = _NAMES + len(classes) * _PANEL + _MARGIN
     height = 74 + len(methods) * (_BAR + _GAP)
-    lines = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height}" viewBox="0 0 {width} {height}"'
-        f' font-family="Helvetica, Arial, sans-serif" font-size="12" fill="{_INK}">',
-        f'<rect width="{width}" height="{height}" fill="white"/>',
-        _text(_MARGIN, 22, title, size=15, weight="bold"),
-        _text(_MARGIN, 40, "mean Chamfer distance to the truth, mm; shorter is better"),
-    ]
+    lines = []
     for column, name in enumerate(classes):
         left = _NAMES + column * _PANEL
         lines.append(_text(left, 60, name, weight="bold"))
@@ -48,9 +42,7 @@ def write_chart(rows: Mapping[str, Mapping[str, Mapping]], path: Path, *, title:
             colour = _OURS if method == "gfpnet" else _OTHER
             lines.append(f'<rect x="{left}" y="{top}" width="{length:.1f}" height="{_BAR}" fill="{colour}"/>')
             lines.append(_text(left + length + 4, top + _BAR - 3, f"{value:.2f}"))
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text("\n".join([*lines, "</svg>"]) + "\n", encoding="utf-8")
-    return path
+    return _write(path, width, height, title, "mean Chamfer distance to the truth, mm; shorter is better", lines)
 
 
 def write_curves(rows: Mapping[str, Sequence[float]], path: Path, *, title: str, axis: str) -> Path:
@@ -73,14 +65,7 @@ def write_curves(rows: Mapping[str, Sequence[float]], path: Path, *, title: str,
     def at(i: int, value: float) -> tuple[float, float]:
         return left + i * across, top + down * (1 - value / highest)
 
-    lines = [
-        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height}" viewBox="0 0 {width} {height}"'
-        f' font-family="Helvetica, Arial, sans-serif" font-size="12" fill="{_INK}">',
-        f'<rect width="{width}" height="{height}" fill="white"/>',
-        _text(_MARGIN, 22, title, size=15, weight="bold"),
-        _text(_MARGIN, 40, "Chamfer distance of the predicted patch to its label, mm"),
-        _text(left + across * (most - 1) / 2, height - 10, axis, anchor="middle"),
-    ]
+    lines = [_text(left + across * (most - 1) / 2, height - 10, axis, anchor="middle")]
     for i in range(most):
         lines.append(_text(left + i * across, height - 30, str(i + 1), anchor="middle"))
     for k in range(5):
@@ -96,8 +81,19 @@ def write_curves(rows: Mapping[str, Sequence[float]], path: Path, *, title: str,
         y = top + 16 * number
         lines.append(f'<rect x="{width - 180}" y="{y}" width="12" height="4" fill="{colour}"/>')
         lines.append(_text(width - 162, y + 6, name))
+    return _write(path, width, height, title, "Chamfer distance of the predicted patch to its label, mm", lines)
+
+
+def _write(path: Path, width: int, height: int, title: str, subtitle: str, lines: Sequence[str]) -> Path:
+    opening = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height}" viewBox="0 0 {width} {height}"'
+        f' font-family="Helvetica, Arial, sans-serif" font-size="12" fill="{_INK}">',
+        f'<rect width="{width}" height="{height}" fill="white"/>',
+        _text(_MARGIN, 22, title, size=15, weight="bold"),
+        _text(_MARGIN, 40, subtitle),
+    ]
     path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text("\n".join([*lines, "</svg>"]) + "\n", encoding="utf-8")
+    path.write_text("\n".join([*opening, *lines, "</svg>"]) + "\n", encoding="utf-8")
     return path
 
 

@@ -15,9 +15,11 @@ from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial import KDTree
 
 from gfp_grasp.bench.views import see
 from gfp_grasp.complete import complete_to_mesh
+from gfp_grasp.detect import detect_single
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.primitives import load_primitive
 from gfp_grasp.register import FitConfig, fit_evidence, gather_evidence, icp_config, pcrnet_config
@@ -87,8 +89,6 @@ def _figures(laps: list[dict[str, float]]) -> dict[str, object]:
 
 def _registrations(clouds: list[tuple[str, PointCloud]]) -> dict[str, float]:
     """Median milliseconds from evidence to a fit, class given."""
-    from gfp_grasp.detect import detect_single
-
     found = [
         (load_primitive(category), gather_evidence(detect_single(c.points, viewpoint=c.viewpoint, category=category)))
         for category, c in clouds
@@ -117,8 +117,6 @@ def _memory(clouds: list[PointCloud], calls: int, watch: Callable) -> dict[str, 
 
 def _of_size(cloud: PointCloud, size: int) -> PointCloud:
     """The cloud with so many points: drawn from it, or added between its own and their nearest neighbours."""
-    from scipy.spatial import KDTree
-
     rng, points = np.random.default_rng(0), cloud.points
     if len(points) >= size:
         return PointCloud(points[rng.choice(len(points), size, replace=False)], cloud.viewpoint)

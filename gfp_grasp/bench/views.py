@@ -16,7 +16,7 @@ from gfp_grasp.camera import (
     render_mesh_view,
     sample_viewpoint,
 )
-from gfp_grasp.transforms import apply_T, make_T, rotation_about
+from gfp_grasp.transforms import apply_T, invert_T, make_T, rotation_about
 from gfp_grasp.types import DepthImage, PointCloud
 
 PROTOCOLS = ("standard", "noisy", "fallen", "hidden")
@@ -99,5 +99,5 @@ def in_sight(mesh: trimesh.Trimesh, points: np.ndarray, normals: np.ndarray, vie
 
 def extents_of(sight: Sight) -> np.ndarray:
     """(3,) m, extents along the axes of the object as it stands."""
-    upright = apply_T(np.linalg.inv(sight.T_world_object), np.asarray(sight.mesh.vertices))
+    upright = apply_T(invert_T(sight.T_world_object), np.asarray(sight.mesh.vertices))
     return np.ptp(upright, axis=0)

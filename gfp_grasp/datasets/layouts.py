@@ -15,9 +15,9 @@ import numpy as np
 from gfp_grasp.errors import InvalidOption, UnreadableFile
 from gfp_grasp.primitives import list_primitives, load_primitive
 from gfp_grasp.scenes import SUFFIXES, ObjectSource
+from gfp_grasp.shapes import SPLITS
 
 LAYOUTS = ("modelnet", "shapenet", "folder")
-SPLITS = ("train", "val", "test")
 # Classes of ShapeNetCore by their WordNet number; others keep the number for a name.
 _SYNSETS = {
     "02876657": "bottle",

@@ -38,11 +38,11 @@ class Silhouette:
     certain: bool
     offset_px: np.ndarray
 
-    def pixels(self, points: np.ndarray) -> np.ndarray:
-        """Column and row (n, 2) px at which points (n, 3) m, world, are seen."""
+    def pixels(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Column and row (n, 2) px at which points (n, 3) m, world, are seen, and their depth (n,) m."""
         camera = apply_T(self.T_camera_world, points)
-        z = np.maximum(camera[:, 2:], 1e-6)
-        return camera[:, :2] / z * self.K[[0, 1], [0, 1]] + self.K[:2, 2]
+        z = np.maximum(camera[:, 2], 1e-6)
+        return camera[:, :2] / z[:, None] * self.K[[0, 1], [0, 1]] + self.K[:2, 2], z
 
     def trespass(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Points that lie where the view says there is nothing, and the way back.
@@ -54,10 +54,8 @@ class Silhouette:
             Index (t,) of the trespassing points and the displacement (t, 3) m, world, that brings each onto the ray
             of the nearest pixel of the object at the same depth.
         """
-        camera = apply_T(self.T_camera_world, points)
-        z = np.maximum(camera[:, 2], 1e-6)
-        column = np.rint(camera[:, 0] / z * self.K[0, 0] + self.K[0, 2]).astype(np.int64)
-        row = np.rint(camera[:, 1] / z * self.K[1, 1] + self.K[1, 2]).astype(np.int64)
+        pixels, z = self.pixels(points)
+        column, row = np.rint(pixels).astype(np.int64).T
         height, width = self.free_depth_m.shape
         inside = np.flatnonzero((row >= 0) & (row < height) & (column >= 0) & (column < width))
         row, column = row[inside], column[inside]

@@ -38,7 +38,7 @@ def cut_off(evidence: Evidence) -> Evidence:
     assert evidence.viewpoint is not None
     sight = evidence.viewpoint - evidence.points
     facing = np.einsum("ni,ni->n", evidence.normals, sight) / np.linalg.norm(sight, axis=1) > _FACING_COSINE
-    seen = silhouette.pixels(evidence.points)[:, ::-1]  # row, column
+    seen = silhouette.pixels(evidence.points)[0][:, ::-1]  # row, column
     outline = _outline(silhouette)
     line = _straight_edge(outline, facing[KDTree(seen).query(outline)[1]])
     free = np.argwhere(silhouette.free_depth_m > 0)

@@ -47,12 +47,16 @@ def ovality_gram(primitive: GenericPrimitive) -> np.ndarray:
     return gram
 
 
+def scaled_modes(coefficients: np.ndarray, scale: np.ndarray) -> np.ndarray:
+    """(s, 3, 1 + k), each of the scales (s, 3) times (1, the coefficients (s, k)): the u of `ovality_gram`."""
+    return scale[:, :, None] * np.insert(coefficients, 0, 1.0, axis=1)[:, None, :]
+
+
 @lru_cache(maxsize=32)
 def round_share(primitive: GenericPrimitive, limit_m: float) -> float:
     """Share of the members that a primitive was built from whose ovality is below a limit, held to [0.05, 0.95]."""
     k = len(primitive.modes)
-    one_c = np.insert(primitive.coefficient_samples[:, :k], 0, 1.0, axis=1)
-    scale = np.exp(primitive.coefficient_samples[:, k:])
-    u = (scale[:, :, None] * one_c[:, None, :]).reshape(len(one_c), -1)
+    samples = primitive.coefficient_samples
+    u = scaled_modes(samples[:, :k], np.exp(samples[:, k:])).reshape(len(samples), -1)
     oval = np.sqrt(np.einsum("si,ij,sj->s", u, ovality_gram(primitive), u))
     return float(np.clip((oval < limit_m).mean(), 0.05, 0.95))

@@ -18,7 +18,7 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from gfp_grasp.register.evidence import Evidence
-from gfp_grasp.register.ovality import ovality_gram
+from gfp_grasp.register.ovality import ovality_gram, scaled_modes
 from gfp_grasp.register.state import ModesConfig, StateBatch
 from gfp_grasp.register.surface import surface_samples
 from gfp_grasp.types import GenericPrimitive
@@ -245,12 +245,12 @@ def _not_oval(sums: _Sums, sigma_m: float) -> None:
     """The body is as deep as it is wide."""
     batch, gram = sums.surface.batch, sums.surface.model.ovality
     s, k = batch.coefficients.shape
-    one_c = np.concatenate([np.ones((s, 1)), batch.coefficients], axis=1)
     scale = np.exp(batch.log_scale)
-    u = (scale[:, :, None] * one_c[:, None, :]).reshape(s, -1)  # (s, 3 * (1 + k))
+    scaled = scaled_modes(batch.coefficients, scale)
+    u = scaled.reshape(s, -1)
     U = np.zeros((s, 3, 1 + k, 3 + k))
     axes = np.arange(3)
-    U[:, axes, :, axes] = (scale[:, :, None] * one_c[:, None, :]).transpose(1, 0, 2)
+    U[:, axes, :, axes] = scaled.transpose(1, 0, 2)
     U[:, :, 1:, 3:] = scale[:, :, None, None] * np.eye(k)
     U = U.reshape(s, 3 * (1 + k), 3 + k)
     weighted = U.transpose(0, 2, 1) @ gram / sigma_m**2

@@ -18,7 +18,6 @@ from gfp_grasp.transforms import make_T, rotation_about
 from gfp_grasp.types import TrueObject
 
 SUFFIXES = (".glb", ".obj", ".off", ".ply", ".stl")
-SPLITS = ("train", "val", "test")
 
 
 @dataclass(frozen=True)
@@ -87,7 +86,7 @@ def load_objects(
         InvalidOption: No family, file or folder of that name, an unknown split, or a limit below one.
         UnreadableFile: The file is of another suffix, or the folder holds no mesh.
     """
-    from gfp_grasp.shapes import FAMILIES, split_seeds
+    from gfp_grasp.shapes import FAMILIES, SPLITS, split_seeds
 
     if split not in SPLITS:
         raise InvalidOption(f"split is {split!r}; legal are {', '.join(SPLITS)}")
