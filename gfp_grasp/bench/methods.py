@@ -65,11 +65,11 @@ def config_of(name: str, sight: Sight | None = None, given: str = "") -> tuple[C
         return _OWN[name], False
     base = name.removesuffix("-sized")
     rigid, method = _PAPER[base]
-    size = None
+    fit = rigid()
     if name.endswith("-sized"):
         assert sight is not None
-        size = _true_size(sight, given)
-    return CompleteConfig(fit=rigid(size=size), deform=DeformConfig(method=method), rival_share=1.0), True
+        fit = rigid(size=_true_size(sight, given))
+    return CompleteConfig(fit=fit, deform=DeformConfig(method=method), rival_share=1.0), True
 
 
 def _true_size(sight: Sight, category: str) -> tuple[float, float, float]:

@@ -97,7 +97,7 @@ def _shape_trials(job: tuple[str, int], *, starts: tuple[str, ...], config: Regi
     ):
         for start in starts:
             began = time.perf_counter()
-            fit_config = replace(FitConfig(mean_size=config.mean_size), start=start)  # pyright: ignore[reportArgumentType]
+            fit_config = replace(FitConfig(size=(1.0, 1.0, 1.0) if config.mean_size else None), start=start)  # pyright: ignore[reportArgumentType]
             try:
                 errors = _errors(fit_primitive(view.detection(), primitive, config=fit_config), view, primitive)
             except FitDiverged as error:

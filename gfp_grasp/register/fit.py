@@ -54,8 +54,7 @@ class FitConfig:
         keep: Starts of which there is a middle refinement.
         behind: A start whose cost is larger than the best's by this after that is given up.
         roundness: Ask whether the body is as deep as it is wide.
-        mean_size: Every start has the mean size, not the size of the points.
-        size: (3,) scale of every start along the primitive's axes; None leaves it to the points or the mean.
+        size: (3,) scale of every start along the primitive's axes, ones for its own; None leaves it to the points.
         refine: Refine the starts; False takes the best of them as it is.
         max_residual_m: A fit whose trimmed residual is larger has diverged.
     """
@@ -69,7 +68,6 @@ class FitConfig:
     keep: int = 3
     behind: float = 15.0
     roundness: bool = True
-    mean_size: bool = False
     size: tuple[float, float, float] | None = None
     refine: bool = True
     max_residual_m: float = 0.05
@@ -117,9 +115,8 @@ def fit_evidence(
 ) -> FittedPrimitive:
     """As `fit_primitive`, from evidence gathered before (one gathering serves several primitives)."""
     states = starts(primitive, evidence, config.hypotheses)
-    if config.mean_size or config.size is not None:
-        log_scale = np.zeros(3) if config.size is None else np.log(config.size)
-        states = [replace(state, log_scale=log_scale) for state in states]
+    if config.size is not None:
+        states = [replace(state, log_scale=np.log(config.size)) for state in states]
     if config.start == "pcrnet":
         from gfp_grasp.register.pcrnet import correct_starts  # torch is loaded where it is needed only
 
