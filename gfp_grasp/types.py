@@ -203,6 +203,7 @@ class GenericPrimitive:
 
     Attributes:
         category: Class name.
+        kind: Name of a part of the class that is unlike the rest of it, as cups with stems are; "" is the class itself.
         vertices: (v, 3) float64 m, mean mesh in the primitive's frame: z up, axis through x = y = 0, base at z = 0,
             a handle towards +x.
         faces: (f, 3) int, watertight, outward.
@@ -235,6 +236,7 @@ class GenericPrimitive:
     twin_map: np.ndarray | None = None
     licence: str = ""
     card: Mapping[str, object] = field(default_factory=dict)
+    kind: str = ""
 
     def __post_init__(self) -> None:
         vertices = np.asarray(self.vertices, dtype=np.float64)
@@ -253,6 +255,11 @@ class GenericPrimitive:
         _freeze(self, "regions", np.asarray(self.regions, dtype=np.uint8))
         if self.twin_map is not None:
             _freeze(self, "twin_map", np.asarray(self.twin_map, dtype=np.int64))
+
+    @property
+    def name(self) -> str:
+        """Class and kind, as "cup.stemmed"; of the class itself, the class."""
+        return f"{self.category}.{self.kind}" if self.kind else self.category
 
     def shape(self, coefficients: np.ndarray, scale: np.ndarray) -> np.ndarray:
         """Vertices (v, 3) m in the primitive's frame for (k,) coefficients and (3,) scale."""

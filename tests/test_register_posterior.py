@@ -4,16 +4,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial import KDTree
 
 from gfp_grasp.bench.views import see
 from gfp_grasp.detect import detect_single
 from gfp_grasp.observation import canonical_frame
-from gfp_grasp.primitives import load_primitive
-from gfp_grasp.register import FitConfig, ModesConfig, fit_primitive, gather_evidence
+from gfp_grasp.primitives import load_kinds, load_primitive
+from gfp_grasp.register import FitConfig, ModesConfig, fit_best, fit_primitive, gather_evidence
 from gfp_grasp.register.modes import judge, refine
 from gfp_grasp.register.occlusion import cut_off
 from gfp_grasp.register.ovality import ovality_gram, round_share
-from gfp_grasp.register.posterior import linearise, shape_model
+from gfp_grasp.register.posterior import _nearest, linearise, shape_model
 from gfp_grasp.register.starts import starts
 from gfp_grasp.register.state import StateBatch
 from gfp_grasp.shapes import make_shape, split_seeds
@@ -38,18 +39,43 @@ def test_states_are_refined_side_by_side_as_they_are_alone():
     assert refine([], primitive, evidence) == []
 
 
+def test_with_few_modes_the_others_stay_at_the_mean():
+    primitive, evidence = load_primitive("cup"), gather_evidence(_detection("cup"))
+    state = refine(starts(primitive, evidence, ("upright",))[:1], primitive, evidence, ModesConfig(num_modes=4))[0]
+    assert len(state.coefficients) == len(primitive.modes)
+    assert state.coefficients[:4].all()
+    assert not state.coefficients[4:].any()
+
+
+def test_the_nearest_of_few_samples_is_that_of_a_tree():
+    rng = np.random.default_rng(0)
+    asked, features = (rng.normal(size=(count, 6)).astype(np.float32) for count in (200, 500))
+    half = 0.5 * (features**2).sum(axis=1)
+    half[:250] = np.inf  # are not asked
+    assert np.array_equal(_nearest(asked, features, half)[0], 250 + KDTree(features[250:]).query(asked)[1])
+
+
+def test_what_the_class_says_worse_than_its_kind_is_the_kinds():
+    cup, stemmed = load_kinds("cup")[0], load_primitive("cup.stemmed")
+    index = [make_shape("cup", seed).kind for seed in split_seeds("cup", "val")].index("stemmed")
+    evidence = gather_evidence(_detection("cup", index))
+    assert fit_best(evidence, [(cup, 0.0), (stemmed, 2.5)]).primitive is stemmed
+    assert fit_best(evidence, [(cup, 0.0), (stemmed, 1e6)]).primitive is cup
+
+
 @pytest.mark.parametrize("oval_m", [None, 0.001])
 def test_the_gradient_of_the_priors_is_that_of_the_cost(oval_m):
     primitive, evidence = load_primitive("bottle"), gather_evidence(_detection("bottle"))
     # Without points and free space, whose correspondences jump, the cost is smooth.
     config = ModesConfig(effective_points=1e-9, free_space=False, support=False, oval_m=oval_m)
     state = replace(starts(primitive, evidence, ("upright",))[0], coefficients=np.linspace(-1, 1, len(primitive.modes)))
-    model = shape_model(primitive, config.num_samples)
+    model = shape_model(primitive, config.num_samples, config.num_modes)
+    every = model.num_modes
 
     def cost(changed) -> float:
-        return float(linearise(StateBatch.of([changed]), model, evidence, config, 0.003)[2][0])
+        return float(linearise(StateBatch.of([changed], every), model, evidence, config, 0.003)[2][0])
 
-    gradient = linearise(StateBatch.of([state]), model, evidence, config, 0.003)[1][0]
+    gradient = linearise(StateBatch.of([state], every), model, evidence, config, 0.003)[1][0]
     step = 1e-5
     for axis in range(3):
         e = step * np.eye(3)[axis]

@@ -14,20 +14,19 @@ gps = typer.Typer(name="gps", help="Generic primitives: list, show, build.", no_
 @gps.command("list")
 def list_all() -> None:
     """The primitives that ship with the package."""
-    from gfp_grasp.primitives import list_primitives, load_primitive
+    from gfp_grasp.primitives import list_primitives, load_kinds
 
     rows = []
-    for name in list_primitives():
-        primitive = load_primitive(name)
+    for primitive in (p for name in list_primitives() for p in load_kinds(name)):
         extents_mm = 1000 * (primitive.vertices.max(axis=0) - primitive.vertices.min(axis=0))
         size = " x ".join(f"{extent:.0f}" for extent in extents_mm)
         counts = (len(primitive.vertices), len(primitive.modes), len(primitive.parts))
-        rows.append((name, size, *map(str, counts), primitive.licence))
+        rows.append((primitive.name, size, *map(str, counts), primitive.licence))
     table(("class", "mean, mm", "vertices", "modes", "parts", "licence"), rows, words=1)
 
 
 @gps.command()
-def show(category: Annotated[str, typer.Argument(help="Class.")]) -> None:
+def show(category: Annotated[str, typer.Argument(help="Class, or class.kind.")]) -> None:
     """The card of a primitive: how it was built, from what, and its figures."""
     from gfp_grasp.primitives import load_primitive
 
@@ -41,6 +40,7 @@ def build(
     folder: Annotated[Path, typer.Option("--out", help="Folder of the .safetensors, .ply and .json.")] = Path("gps"),
     orientation: Annotated[str, typer.Option(help="What is known of a folder's meshes: placed, upright, any.")] = "any",
     licence: Annotated[str, typer.Option(help="Of a folder's meshes, for the card.")] = "",
+    kind: Annotated[str, typer.Option(help="Of its procedural shapes alone, e.g. stemmed of cup.")] = "",
     limit: Annotated[int, typer.Option(min=1, help="So many procedural shapes.")] = 120,
     seed: Seed = 0,
 ) -> None:
@@ -49,7 +49,7 @@ def build(
 
     progress = track(f"primitive of {category}")
     if meshes is None:
-        primitive = build_from_shapes(category, members=limit, seed=seed, progress=progress)
+        primitive = build_from_shapes(category, kind, members=limit, seed=seed, progress=progress)
     else:
         config = BuildConfig(orientation=orientation, licence=licence)  # pyright: ignore[reportArgumentType]
         primitive = build_from_folder(meshes, category, seed=seed, config=config, progress=progress)

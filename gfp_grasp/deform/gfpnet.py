@@ -27,13 +27,13 @@ from gfp_grasp.assets import data_file
 from gfp_grasp.deform.patches import PULL_M, UNIT_M
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.register.pcrnet import mlp
-from gfp_grasp.shapes import FAMILIES
 from gfp_grasp.types import HANDLE, FittedPrimitive, GenericPrimitive
 
 PULL = 8  # numbers that say where template points want a source point
 PLACE = 10  # numbers that say where a patch is
 MODES = 24  # of a primitive that the network knows
-FIT = MODES + 3 + len(FAMILIES) + 1  # numbers that say what was fitted
+PRIMITIVES = ("cup", "cup.lidded", "cup.stemmed", "mug", "bottle", "bottle.jug", "bottle.spray")  # that it learns
+FIT = MODES + 3 + len(PRIMITIVES) + 1  # numbers that say what was fitted
 CHANGE = MODES + 6  # numbers that change a fit: modes, log scale, translation
 _STEP = PULL_M / UNIT_M  # unit of the answer: a network is slow to learn numbers far smaller than its others
 
@@ -114,16 +114,16 @@ class PatchNet(nn.Module):
 
 
 def fit_features(fit: FittedPrimitive, *, known: bool = True) -> np.ndarray:
-    """What the network is told of a fit as a whole, (FIT,): modes, log scale, class, and whether there is a handle.
+    """What the network is told of a fit as a whole, (FIT,): modes, log scale, primitive, and whether there is a handle.
 
-    Of a primitive that it does not know (known is False) modes and class mean nothing to it.
+    Of a primitive that it does not know (known is False) modes and name mean nothing to it.
     """
     features = np.zeros(FIT)
     features[MODES : MODES + 3] = np.log(fit.scale)
     if known:
         count = min(MODES, len(fit.coefficients))
         features[:count] = 0.5 * fit.coefficients[:count]
-        features[MODES + 3 + FAMILIES.index(fit.primitive.category)] = 1.0
+        features[MODES + 3 + PRIMITIVES.index(fit.primitive.name)] = 1.0
     features[-1] = float((fit.primitive.regions == HANDLE).any())
     return features
 

@@ -29,7 +29,7 @@ def diffuse(primitive: GenericPrimitive, displacement: np.ndarray, confidence: n
     return np.column_stack([solve(confidence * column) for column in displacement.T])
 
 
-@lru_cache(maxsize=8)
+@lru_cache(maxsize=32)
 def _diffuser(primitive: GenericPrimitive, confidence_bytes: bytes) -> Callable[[np.ndarray], np.ndarray]:
     """The factorised system of one primitive and confidence: the default network's is the same for every fit."""
     confidence = np.frombuffer(confidence_bytes)

@@ -3,7 +3,7 @@
 from gfp_grasp.primitives.build import BuildConfig, build_primitive
 from gfp_grasp.primitives.figures import PrimitiveReport, measure_primitive
 from gfp_grasp.primitives.source import build_from_folder, build_from_shapes
-from gfp_grasp.primitives.store import list_primitives, load_primitive, read_primitive, save_primitive
+from gfp_grasp.primitives.store import list_primitives, load_kinds, load_primitive, read_primitive, save_primitive
 from gfp_grasp.primitives.whole import WholeConfig, fit_whole_surface
 
 __all__ = [
@@ -15,6 +15,7 @@ __all__ = [
     "build_primitive",
     "fit_whole_surface",
     "list_primitives",
+    "load_kinds",
     "load_primitive",
     "measure_primitive",
     "read_primitive",

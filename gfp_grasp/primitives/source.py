@@ -20,10 +20,12 @@ _SUFFIXES = (".obj", ".stl", ".ply", ".glb", ".off")
 # A folder with fewer meshes than this is used up by the build; from this on every fifth mesh is held out.
 _ENOUGH_TO_HOLD_OUT = 15
 _LICENCE_OF_SHAPES = "Apache-2.0"
+_OF_ALL_KINDS = 1000  # seeds of the train split that members of one kind are looked for among
 
 
 def build_from_shapes(
     family: str,
+    kind: str = "",
     *,
     members: int = 120,
     held_out: int = 40,
@@ -35,7 +37,8 @@ def build_from_shapes(
 
     Args:
         family: One of shapes.FAMILIES.
-        members: So many seeds of the train split, the first ones.
+        kind: Of its shapes; "" takes them all.
+        members: So many seeds of the train split, the first ones; of a kind, as many as the first thousand hold.
         held_out: So many of the validation split.
         seed: Of the build.
         config: How it is built; None for the default.
@@ -43,7 +46,7 @@ def build_from_shapes(
 
     Raises:
         UnknownCategory: No such family.
-        InvalidOption: More members than the split has, or none.
+        InvalidOption: More members than the split has, or none; no shape is of that kind.
         BuildFailed: See build_primitive.
     """
     if family not in FAMILIES:
@@ -51,21 +54,34 @@ def build_from_shapes(
             f"no shape family {family!r}: choose one of {', '.join(FAMILIES)}, or give a folder of meshes"
         )
     train, val = split_seeds(family, "train"), split_seeds(family, "val")
+    if kind:
+        train = _of_kind(family, kind, split_seeds(family, "train", _OF_ALL_KINDS))[:members]
+        val = _of_kind(family, kind, val)[:held_out]
+        members, held_out = len(train), len(val)
     if not 1 <= members <= len(train) or not 1 <= held_out <= len(val):
         raise InvalidOption(f"members={members}, held_out={held_out}: 1 to {len(train)} and 1 to {len(val)} are there")
     config = config or BuildConfig(licence=_LICENCE_OF_SHAPES)
     meshes = [make_shape(family, number).mesh for number in train[:members]]
     primitive = build_primitive(meshes, family, config=config, seed=seed, progress=progress)
+    primitive = replace(primitive, kind=kind, twin=primitive.twin and replace(primitive.twin, kind=kind))
     figures = measure_primitive(
         primitive, [make_shape(family, number).mesh for number in val[:held_out]], progress=progress
     )
     card = {
-        "command": f"gfp-grasp gps build {family} --limit {members} --seed {seed}",
+        "command": f"gfp-grasp gps build {family} {f'--kind {kind} ' if kind else ''}--limit {members} --seed {seed}",
         "seed": seed,
-        "data": f"procedural {family}s, the first {members} seeds of the train split",
-        "held_out_data": f"procedural {family}s, the first {held_out} seeds of the val split",
+        "data": f"procedural {kind} {family}s, the first {members} seeds of the train split".replace("  ", " "),
+        "held_out_data": f"procedural {kind} {family}s, the first {held_out} seeds of the val split".replace("  ", " "),
     }
     return replace(primitive, card={**card, **primitive.card, **figures.figures()})
+
+
+def _of_kind(family: str, kind: str, seeds: tuple[int, ...]) -> tuple[int, ...]:
+    """Those of the seeds whose shapes are of a kind."""
+    found = tuple(seed for seed in seeds if make_shape(family, seed).kind == kind)
+    if not found:
+        raise InvalidOption(f"no {family} is of the kind {kind!r}: see gfp_grasp/shapes for those that are made")
+    return found
 
 
 def build_from_folder(

@@ -21,7 +21,7 @@ _ARRAYS = ("vertices", "faces", "modes", "explained", "log_scale_cov", "coeffici
 
 
 def save_primitive(primitive: GenericPrimitive, folder: str | Path) -> Path:
-    """Write <category>.safetensors, .ply and .json.
+    """Write <name>.safetensors, .ply and .json; the name is the class, or "class.kind".
 
     Args:
         primitive: With its card: command, seed, data, figures.
@@ -32,38 +32,53 @@ def save_primitive(primitive: GenericPrimitive, folder: str | Path) -> Path:
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
-    path = folder / f"{primitive.category}.safetensors"
+    path = folder / f"{primitive.name}.safetensors"
     save_file(_arrays_of(primitive, ""), path)
     path.chmod(0o644)  # safetensors writes for the owner only; a wheel is read by others
     trimesh.Trimesh(primitive.vertices, primitive.faces, process=False).export(path.with_suffix(".ply"))
     card = {
         "category": primitive.category,
+        **({"kind": primitive.kind} if primitive.kind else {}),
         "licence": primitive.licence,
         "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
-        **{key: value for key, value in primitive.card.items() if key not in ("category", "licence", "sha256")},
+        **{key: value for key, value in primitive.card.items() if key not in ("category", "kind", "licence", "sha256")},
     }
     path.with_suffix(".json").write_text(json.dumps(card, indent=1) + "\n", encoding="utf-8")
     return path
 
 
 @cache
-def load_primitive(category: str) -> GenericPrimitive:
-    """The primitive of a class that ships with the package; read once.
+def load_primitive(name: str) -> GenericPrimitive:
+    """A primitive that ships with the package, of a class ("cup") or of a kind of it ("cup.stemmed"); read once.
 
     Raises:
         UnknownCategory: No such primitive; the message lists those on offer.
     """
-    if category not in list_primitives():
-        there = ", ".join(list_primitives()) or "none"
+    if name not in _names():
         raise UnknownCategory(
-            f"no primitive for {category!r}: choose one of {there}, or build it (`gfp-grasp gps build`)"
+            f"no primitive for {name!r}: choose one of {', '.join(list_primitives()) or 'none'}, a kind of one that "
+            "`gfp-grasp gps list` names, or build it (`gfp-grasp gps build`)"
         )
-    return read_primitive(data_dir("gps") / f"{category}.safetensors")
+    return read_primitive(data_dir("gps") / f"{name}.safetensors")
 
 
 def list_primitives() -> tuple[str, ...]:
     """Classes whose primitives ship with the package, in alphabetical order."""
-    return tuple(sorted(path.stem for path in data_dir("gps").glob("*.safetensors")))
+    return tuple(name for name in _names() if "." not in name)
+
+
+def load_kinds(category: str) -> tuple[GenericPrimitive, ...]:
+    """The primitive of a class and then those of its kinds.
+
+    Raises:
+        UnknownCategory: No such class.
+    """
+    kinds = (name for name in _names() if name.startswith(f"{category}."))
+    return (load_primitive(category), *(load_primitive(name) for name in kinds))
+
+
+def _names() -> tuple[str, ...]:
+    return tuple(sorted(path.name.removesuffix(".safetensors") for path in data_dir("gps").glob("*.safetensors")))
 
 
 def read_primitive(path: str | Path) -> GenericPrimitive:
@@ -121,6 +136,7 @@ def _from_arrays(arrays: dict[str, np.ndarray], prefix: str, card: dict) -> Gene
     has_twin = prefix + "twin_map" in arrays
     return GenericPrimitive(
         category=card["category"],
+        kind=card.get("kind", ""),
         **{name: arrays[prefix + name] for name in _ARRAYS},
         symmetry=symmetry,
         parts=tuple(ConvexPart(v, f) for v, f in zip(vertices, faces, strict=True)),

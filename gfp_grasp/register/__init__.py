@@ -2,7 +2,7 @@
 
 from gfp_grasp.register.evaluate import handle_is_seen
 from gfp_grasp.register.evidence import Evidence, gather_evidence
-from gfp_grasp.register.fit import FitConfig, fit_evidence, fit_primitive
+from gfp_grasp.register.fit import FitConfig, fit_best, fit_evidence, fit_primitive
 from gfp_grasp.register.icp import icp_config, pcrnet_config
 from gfp_grasp.register.state import ModesConfig
 
@@ -10,6 +10,7 @@ __all__ = [
     "Evidence",
     "FitConfig",
     "ModesConfig",
+    "fit_best",
     "fit_evidence",
     "fit_primitive",
     "gather_evidence",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -22,6 +23,7 @@ from gfp_grasp.types import Detection, FittedPrimitive, GenericPrimitive
 _HIDDEN_M = 0.012
 
 _HEAD_STEPS = 2
+_HOPELESS = 100.0  # cost by which a start that is behind after the race never comes back; ours
 # Cost of free space from which on a cloud without its view is taken to be cut off by something nearer. On 48 views of
 # the validation split and of scans it is below 10 where all is seen, at most 6.1 with 3 mm of noise, and above 15 on 46
 # of those where half is hidden (mostly above 20).
@@ -33,8 +35,8 @@ _SIGHTS = 120  # lines of sight that are looked along
 _ROUND_M = 0.0003  # ovality of what is round, as made and as its modes show it
 _OCCAM = 3.0  # how much less a round body has to explain, negative log odds; ours
 
-_QUICK = ModesConfig(steps=(0.02, 0.015, 0.01, 0.008, 0.006), num_points=150, num_samples=600)
-_MIDDLE = ModesConfig(steps=(0.01, 0.007, 0.005, 0.004), num_points=250, num_samples=1000)
+_QUICK = ModesConfig(steps=(0.02, 0.015, 0.01, 0.008, 0.006), num_points=150, num_samples=600, num_modes=8)
+_MIDDLE = ModesConfig(steps=(0.02, 0.012, 0.008, 0.006, 0.005, 0.004), num_points=250, num_samples=1000)
 _THOROUGH = ModesConfig(steps=(0.004, 0.003, 0.003, 0.003))
 
 HYPOTHESES = ("upright", "upside_down", "lying")
@@ -53,6 +55,7 @@ class FitConfig:
         survivors: Share of the starts that outlive the first two quick steps.
         keep: Starts of which there is a middle refinement.
         behind: A start whose cost is larger than the best's by this after that is given up.
+        rival_behind: A primitive whose best start is behind another's by this after the first steps is given up.
         roundness: Ask whether the body is as deep as it is wide.
         size: (3,) scale of every start along the primitive's axes, ones for its own; None leaves it to the points.
         refine: Refine the starts; False takes the best of them as it is.
@@ -67,6 +70,7 @@ class FitConfig:
     survivors: float = 0.4
     keep: int = 3
     behind: float = 15.0
+    rival_behind: float = 50.0
     roundness: bool = True
     size: tuple[float, float, float] | None = None
     refine: bool = True
@@ -82,8 +86,8 @@ class FitConfig:
             raise InvalidOption(f"survivors is {self.survivors}; a share in (0, 1] is expected")
         if self.size is not None and not (len(self.size) == 3 and min(self.size) > 0):
             raise InvalidOption(f"size is {self.size}; three positive factors are expected")
-        if self.behind < 0:
-            raise InvalidOption(f"behind is {self.behind}; a cost from 0 on is expected")
+        if min(self.behind, self.rival_behind) < 0:
+            raise InvalidOption(f"behind is {self.behind}, {self.rival_behind}; costs from 0 on are expected")
         if self.keep < 1:
             raise InvalidOption(f"keep is {self.keep}; at least one start must be refined")
 
@@ -113,30 +117,37 @@ def fit_primitive(
 def fit_evidence(
     evidence: Evidence, primitive: GenericPrimitive, *, config: FitConfig = FitConfig()
 ) -> FittedPrimitive:
-    """As `fit_primitive`, from evidence gathered before (one gathering serves several primitives)."""
-    states = starts(primitive, evidence, config.hypotheses)
-    if config.size is not None:
-        states = [replace(state, log_scale=np.log(config.size)) for state in states]
-    if config.start == "pcrnet":
-        from gfp_grasp.register.pcrnet import correct_starts  # torch is loaded where it is needed only
+    """As `fit_primitive`, from evidence gathered before."""
+    return fit_best(evidence, [(primitive, 0.0)], config=config)
 
-        states = correct_starts(states, primitive, evidence)
-    if config.refine:
-        states, refined = _searched(states, primitive, evidence, config)
-        if _is_cut_off(refined[0], primitive, evidence, config):
-            evidence = cut_off(evidence)
-            states, refined = _searched(starts(primitive, evidence, config.hypotheses), primitive, evidence, config)
-    else:
-        states = refined = sorted(judge(states, primitive, evidence, config.thorough), key=total_cost)
-    best = refined[0]
-    if not np.isfinite(best.cost) or best.residual_m > config.max_residual_m:
-        raise FitDiverged(
-            f"{primitive.category}: the best start misses the points by {best.residual_m * 1000:.1f} mm, "
-            f"{config.max_residual_m * 1000:.0f} mm is allowed: is it one object, in metres, with the right up?"
-        )
+
+def fit_best(
+    evidence: Evidence,
+    candidates: Sequence[tuple[GenericPrimitive, float]],
+    *,
+    config: FitConfig = FitConfig(),
+) -> FittedPrimitive:
+    """Fit the one of several primitives that explains the points best.
+
+    Args:
+        evidence: Of one view.
+        candidates: Primitives, each with its negative log odds.
+        config: Starts and weights.
+
+    Returns:
+        The fit of the least cost and odds together, as `fit_primitive` returns it.
+
+    Raises:
+        FitDiverged: None of them reached config.max_residual_m.
+    """
+    found = _best_of(evidence, candidates, config)
+    if config.refine and _is_cut_off(found, evidence, config):
+        evidence = cut_off(evidence)
+        found = _best_of(evidence, candidates, config)
+    best, primitive = found.finals[0], found.primitive
     if config.roundness and config.refine:
         best = _rounder(best, primitive, evidence, config)
-    others = [total_cost(s) for s in (*refined, *states) if s.hypothesis != best.hypothesis]
+    others = [total_cost(s) for s in (*found.finals, *found.raced) if s.hypothesis != best.hypothesis]
     margin = min(others) / max(total_cost(best), 1e-9) if others else float("inf")
     return FittedPrimitive(
         primitive=primitive,
@@ -150,51 +161,105 @@ def fit_evidence(
     )
 
 
-def _searched(
-    states: list[PoseShape], primitive: GenericPrimitive, evidence: Evidence, config: FitConfig
-) -> tuple[list[PoseShape], list[PoseShape]]:
-    """All starts after the race, and the leaders refined thoroughly; both best first."""
-    states = _race(states, primitive, evidence, config)
-    return states, _finals(_leaders(states, config.keep), primitive, evidence, config)
+@dataclass(frozen=True, eq=False)
+class _Race:
+    """States of one primitive, at some stage of its fit, best first.
+
+    Attributes:
+        primitive: Whose states they are.
+        odds: Its negative log odds.
+        raced: All starts as they are.
+        finals: Leaders, refined to the end.
+    """
+
+    primitive: GenericPrimitive
+    odds: float
+    raced: list[PoseShape]
+    finals: list[PoseShape]
+
+    @property
+    def cost(self) -> float:
+        """Of the best state, with the odds of the primitive."""
+        return total_cost((self.finals or self.raced)[0]) + self.odds
 
 
-def _is_cut_off(state: PoseShape, primitive: GenericPrimitive, evidence: Evidence, config: FitConfig) -> bool:
+def _best_of(evidence: Evidence, candidates: Sequence[tuple[GenericPrimitive, float]], config: FitConfig) -> _Race:
+    """Of all primitives the starts are tried; those that are far behind then are given up."""
+    races = [_begun(primitive, odds, evidence, config) for primitive, odds in candidates]
+    hopeful = min(race.cost for race in races) + config.rival_behind
+    done = [_finished(race, evidence, config) for race in races if race.cost <= hopeful]
+    fits = [race for race in done if race.finals[0].residual_m <= config.max_residual_m and np.isfinite(race.cost)]
+    if not fits:
+        nearest = min(done, key=lambda race: race.finals[0].residual_m)
+        raise FitDiverged(
+            f"{nearest.primitive.category}: the best start misses the points by "
+            f"{nearest.finals[0].residual_m * 1000:.1f} mm, {config.max_residual_m * 1000:.0f} mm is allowed: "
+            "is it one object, in metres, with the right up?"
+        )
+    return min(fits, key=lambda race: race.cost)
+
+
+def _begun(primitive: GenericPrimitive, odds: float, evidence: Evidence, config: FitConfig) -> _Race:
+    """Every start refined by the first steps."""
+    states = starts(primitive, evidence, config.hypotheses)
+    if config.size is not None:
+        states = [replace(state, log_scale=np.log(config.size)) for state in states]
+    if config.start == "pcrnet":
+        from gfp_grasp.register.pcrnet import correct_starts  # torch is loaded where it is needed only
+
+        states = correct_starts(states, primitive, evidence)
+    if config.refine:
+        states = refine(states, primitive, evidence, replace(config.quick, steps=config.quick.steps[:_HEAD_STEPS]))
+    else:
+        states = judge(states, primitive, evidence, config.thorough)
+    return _Race(primitive, odds, sorted(states, key=total_cost), [])
+
+
+def _finished(race: _Race, evidence: Evidence, config: FitConfig) -> _Race:
+    """The better share of the starts refined by the rest of the steps, and the leaders of them to the end."""
+    if not config.refine:
+        return replace(race, finals=race.raced)
+    states, tail = race.raced, config.quick.steps[_HEAD_STEPS:]
+    if tail:
+        go_on = _leaders(states, max(config.keep, round(config.survivors * len(states))))
+        quick = replace(config.quick, steps=tail)
+        states = sorted(refine(go_on, race.primitive, evidence, quick), key=total_cost)
+    finals = _finals(_leaders(states, config.keep), race.primitive, evidence, config)
+    return replace(race, raced=states, finals=finals)
+
+
+def _is_cut_off(race: _Race, evidence: Evidence, config: FitConfig) -> bool:
     """Whether the best fit stands so far beyond the outline of the cloud that something may hide a part of it.
 
     Only where the outline is guessed: a view knows what hides what.
     """
     if evidence.silhouette is None or evidence.silhouette.certain or not config.thorough.free_space:
         return False
-    return free_space_cost(state, primitive, evidence, config.thorough) > _OCCLUSION
-
-
-def _race(
-    states: list[PoseShape], primitive: GenericPrimitive, evidence: Evidence, config: FitConfig
-) -> list[PoseShape]:
-    """Every start refined by two steps, the better share of them by the rest; best first."""
-    steps = config.quick.steps
-    head, tail = replace(config.quick, steps=steps[:_HEAD_STEPS]), steps[_HEAD_STEPS:]
-    states = sorted(refine(states, primitive, evidence, head), key=total_cost)
-    if tail:
-        go_on = _leaders(states, max(config.keep, round(config.survivors * len(states))))
-        states = sorted(refine(go_on, primitive, evidence, replace(head, steps=tail)), key=total_cost)
-    return states
+    return free_space_cost(race.finals[0], race.primitive, evidence, config.thorough) > _OCCLUSION
 
 
 def _finals(
     states: list[PoseShape], primitive: GenericPrimitive, evidence: Evidence, config: FitConfig
 ) -> list[PoseShape]:
     """The leaders refined to the end, best first, and after them those that were given up half-way."""
-    states = refine(states, primitive, evidence, config.middle)
-    blocking = [
-        _blocking_cost(s, primitive, evidence, config.thorough) + _ending_cost(s, primitive, evidence) for s in states
-    ]
-    hopeful = min(total_cost(s) + b for s, b in zip(states, blocking, strict=True)) + config.behind
-    go_on = [i for i, s in enumerate(states) if total_cost(s) + blocking[i] <= hopeful]
-    # What stands in the line of sight half-way does so at the end.
-    refined = refine([states[i] for i in go_on], primitive, evidence, config.thorough)
-    finished = [replace(s, cost=s.cost + blocking[i]) for i, s in zip(go_on, refined, strict=True)]
-    given_up = [replace(s, cost=s.cost + blocking[i]) for i, s in enumerate(states) if i not in go_on]
+    early = [total_cost(s) + _blocking_cost(s, primitive, evidence, config.thorough) for s in states]
+    given_up = [s for s, cost in zip(states, early, strict=True) if cost > min(early) + _HOPELESS]
+    states = [s for s, cost in zip(states, early, strict=True) if cost <= min(early) + _HOPELESS]
+    states = sorted(refine(states, primitive, evidence, config.middle), key=total_cost)
+    hopeful, go_on = np.inf, []
+    for state in states:
+        if total_cost(state) <= hopeful:
+            # What stands in the line of sight half-way does so at the end.
+            more = _blocking_cost(state, primitive, evidence, config.thorough)
+            more += _ending_cost(state, primitive, evidence)
+            hopeful = min(hopeful, total_cost(state) + more + config.behind)
+            go_on.append((state, more))
+        else:
+            given_up.append(state)
+    given_up += [replace(s, cost=s.cost + more) for s, more in go_on if total_cost(s) + more > hopeful]
+    go_on = [(s, more) for s, more in go_on if total_cost(s) + more <= hopeful]
+    refined = refine([s for s, _ in go_on], primitive, evidence, config.thorough)
+    finished = [replace(s, cost=s.cost + more) for s, (_, more) in zip(refined, go_on, strict=True)]
     return sorted(finished, key=total_cost) + given_up
 
 
@@ -255,4 +320,5 @@ def _leaders(states: list[PoseShape], keep: int) -> list[PoseShape]:
             chosen.append(state)
         if len(chosen) == keep:
             break
-    return chosen + [s for s in firsts.values() if s.hypothesis not in {c.hypothesis for c in chosen}]
+    chosen += [s for s in firsts.values() if s.hypothesis not in {c.hypothesis for c in chosen}]
+    return chosen

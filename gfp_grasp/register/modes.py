@@ -36,8 +36,8 @@ def refine(
     """
     if not states:
         return []
-    model, evidence = shape_model(primitive, config.num_samples), evidence.few(config.num_points)
-    batch = StateBatch.of(states)
+    model = shape_model(primitive, config.num_samples, config.num_modes)
+    batch, evidence = StateBatch.of(states, model.num_modes), evidence.few(config.num_points)
     for robust_m in config.steps:
         batch = _stepped(batch, model, *linearise(batch, model, evidence, config, robust_m)[:2], config)
     _, _, cost, residual_m = linearise(batch, model, evidence, config, config.steps[-1])
@@ -48,16 +48,16 @@ def judge(
     states: Sequence[PoseShape], primitive: GenericPrimitive, evidence: Evidence, config: ModesConfig = ModesConfig()
 ) -> list[PoseShape]:
     """States as they are, with their cost and residual."""
-    batch = StateBatch.of(states)
-    model = shape_model(primitive, config.num_samples)
+    model = shape_model(primitive, config.num_samples, config.num_modes)
+    batch = StateBatch.of(states, model.num_modes)
     _, _, cost, residual_m = linearise(batch, model, evidence.few(config.num_points), config, config.steps[-1])
     return batch.split(states, cost, residual_m)
 
 
 def free_space_cost(state: PoseShape, primitive: GenericPrimitive, evidence: Evidence, config: ModesConfig) -> float:
     """What of the cost of a state is that it stands in space seen empty."""
-    model = shape_model(primitive, config.num_samples)
-    return float(seen_empty(StateBatch.of([state]), model, evidence, config, config.steps[-1])[0])
+    model = shape_model(primitive, config.num_samples, config.num_modes)
+    return float(seen_empty(StateBatch.of([state], model.num_modes), model, evidence, config, config.steps[-1])[0])
 
 
 def _stepped(batch: StateBatch, model: ShapeModel, H: np.ndarray, g: np.ndarray, config: ModesConfig) -> StateBatch:

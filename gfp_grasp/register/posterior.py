@@ -10,12 +10,11 @@ log scale 3, modes k.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
-from scipy.spatial import KDTree
 
 from gfp_grasp.register.evidence import Evidence
 from gfp_grasp.register.ovality import ovality_gram, scaled_modes
@@ -56,10 +55,17 @@ class ShapeModel:
     scale_sigma: np.ndarray
     ovality: np.ndarray
 
+    @property
+    def num_modes(self) -> int:
+        """k."""
+        return len(self.flat_modes)
 
-@lru_cache(maxsize=32)
-def shape_model(primitive: GenericPrimitive, num_samples: int) -> ShapeModel:
-    """The model of a primitive, made once."""
+
+@lru_cache(maxsize=64)
+def shape_model(primitive: GenericPrimitive, num_samples: int, num_modes: int) -> ShapeModel:
+    """The model of a primitive with its first modes, made once."""
+    if num_modes < len(primitive.modes):
+        primitive = replace(primitive, modes=primitive.modes[:num_modes], explained=primitive.explained[:num_modes])
     samples = surface_samples(primitive, num_samples)
     corners = primitive.faces[samples.face]
     covariance = primitive.log_scale_cov + 1e-4 * np.eye(3)
@@ -127,32 +133,51 @@ class _Sums:
         self.surface = surface
         self.H, self.g, self.cost = np.zeros((s, 9 + k, 9 + k)), np.zeros((s, 9 + k)), np.zeros(s)
 
-    def add(self, state: int, index: np.ndarray, direction: np.ndarray, gap: np.ndarray, weight: np.ndarray) -> None:
-        """Samples index (n,) of one state should move by gap (n,) m along directions (n, 3)."""
-        J = np.einsum("npi,ni->np", self._derivative(np.array([state]), index[None])[0], direction)
-        weighted = (weight[:, None] * J).T
-        self.H[state] += weighted @ J
-        self.g[state] += weighted @ gap
+    def add_samples(self, state: np.ndarray, index: np.ndarray, gap: np.ndarray, weight: np.ndarray) -> None:
+        """Samples index (n,) of states (n,), ascending, should move by gap (n, 3) m along its direction, by weight."""
+        length = np.linalg.norm(gap, axis=1)
+        direction = gap / np.maximum(length, 1e-12)[:, None]
+        J = np.einsum("nip,ni->np", self._derivative(state, index[:, None])[:, 0], direction)
+        weighted = weight[:, None] * J
+        bounds = np.searchsorted(state, np.arange(len(self.cost) + 1))
+        for i, (a, b) in enumerate(pairwise(bounds)):
+            if b > a:
+                self.H[i] += weighted[a:b].T @ J[a:b]
+                self.g[i] += weighted[a:b].T @ length[a:b]
 
-    def add_points(self, index: np.ndarray, gap: np.ndarray, precision: np.ndarray) -> None:
-        """Samples index (s, n) of all states should move by gap (s, n, 3) m, known with precision (s, n, 3, 3)."""
+    def add_points(
+        self, index: np.ndarray, gap: np.ndarray, normals: np.ndarray, weight: np.ndarray, tangential: float
+    ) -> None:
+        """Samples index (s, n) of all states should move by gap (s, n, 3) m, by weight (s, n).
+
+        Along unit normals (s, n, 3) in full, across them by the share tangential.
+        """
         D = self._derivative(np.arange(len(index)), index)
-        weighted = (D @ precision).transpose(0, 2, 1, 3).reshape(len(D), D.shape[2], -1)
-        self.H += weighted @ D.transpose(0, 1, 3, 2).reshape(len(D), -1, D.shape[2])
-        self.g += (weighted @ gap.reshape(len(gap), -1, 1))[..., 0]
+        # The root of the precision w (n n^T + t I) is w^1/2 (t^1/2 I + ((1 + t)^1/2 - t^1/2) n n^T).
+        little, more = np.sqrt(tangential), np.sqrt(1.0 + tangential) - np.sqrt(tangential)
+        root = np.sqrt(weight)[..., None]
+        along = root * more * normals
+        E = along[..., None] * np.einsum("snip,sni->snp", D, normals)[:, :, None]
+        E += (little * root)[..., None] * D
+        E = E.reshape(len(E), -1, E.shape[3])
+        misses = along * np.einsum("sni,sni->sn", normals, gap)[..., None] + little * root * gap
+        transposed = E.transpose(0, 2, 1)
+        self.H += transposed @ E
+        self.g += (transposed @ misses.reshape(len(gap), -1, 1))[..., 0]
 
     def _derivative(self, state: np.ndarray, index: np.ndarray) -> np.ndarray:
-        """Derivative (s', n, 9 + k, 3) of the positions of samples (s', n) of some states (s',)."""
+        """Derivative (s', n, 3, 9 + k) of the positions of samples (s', n) of some states (s',)."""
         surface, model = self.surface, self.surface.model
         linear = surface.linear[state]
         arm = surface.world[state[:, None], index] - surface.batch.t[state][:, None]
-        D = np.zeros((*index.shape, self.g.shape[1], 3))
+        D = np.zeros((*index.shape, 3, self.g.shape[1]))
         for i, j, sign in ((0, 1, 1), (1, 2, 1), (2, 0, 1), (1, 0, -1), (2, 1, -1), (0, 2, -1)):
-            D[:, :, j, i] = sign * arm[..., 3 - i - j]  # turn x arm
-        D[:, :, [3, 4, 5], [0, 1, 2]] = 1.0
-        D[:, :, 6:9] = surface.local[state[:, None], index][..., None] * linear.transpose(0, 2, 1)[:, None]
-        modes = model.point_modes[index].reshape(len(index), -1, 3) @ linear.transpose(0, 2, 1)
-        D[:, :, 9:] = modes.reshape(*index.shape, -1, 3)
+            D[:, :, i, j] = sign * arm[..., 3 - i - j]  # turn x arm
+        D[:, :, [0, 1, 2], [3, 4, 5]] = 1.0
+        D[..., 6:9] = linear[:, None] * surface.local[state[:, None], index][:, :, None]
+        modes = model.point_modes[index]
+        rows = modes.reshape(len(index), modes.shape[1] * modes.shape[2], 3) @ linear.transpose(0, 2, 1)
+        D[..., 9:] = rows.reshape(modes.shape).swapaxes(2, 3)
         return D
 
 
@@ -170,9 +195,7 @@ def _observed(sums: _Sums, evidence: Evidence, config: ModesConfig, robust_m: fl
     squared = across**2 + config.tangential * np.einsum("sni,sni->sn", gap, gap)
     robust = 1.0 / (1.0 + squared / robust_m**2)
     weight = share * robust**2 * agrees
-    # Across the surface in full, along it a little.
-    precision = normals[..., :, None] * normals[..., None, :] + config.tangential * np.eye(3)
-    sums.add_points(index, gap, weight[..., None, None] * precision)
+    sums.add_points(index, gap, normals, weight, config.tangential)
     # The cost is in the same robust measure for every start; a point without a partner pays in full.
     sums.cost += 0.5 * share * np.where(agrees, robust * squared, robust_m**2).sum(axis=1)
     distance = np.sort(np.where(agrees, np.abs(across), np.linalg.norm(gap, axis=2)), axis=1)
@@ -191,19 +214,14 @@ def _seen_empty(sums: _Sums, evidence: Evidence, config: ModesConfig, robust_m: 
     limit = 4 * robust_m if certain else 2 * robust_m
     robust = 1.0 / (1.0 + (distance / limit) ** 2)
     share = config.effective_points / world.shape[1] / config.silhouette_m[0 if certain else 1] ** 2
-    direction = back / np.maximum(distance, 1e-12)[:, None]
     sums.cost += 0.5 * share * np.bincount(state, robust * distance**2, minlength=len(world))
-    bounds = np.searchsorted(state, np.arange(len(world) + 1))
-    for i, (a, b) in enumerate(pairwise(bounds)):
-        if b > a:
-            weight = share * robust[a:b] ** 2
-            sums.add(i, index[a:b], direction[a:b], distance[a:b], weight)
+    sums.add_samples(state, index, back, share * robust**2)
 
 
 def _on_support(sums: _Sums, evidence: Evidence) -> None:
     """The lowest point touches the support."""
     heights = sums.surface.world @ evidence.up - evidence.floor_m
-    lowest = np.argsort(heights, axis=1, kind="stable")[:, :_FEET]
+    lowest = np.argpartition(heights, _FEET, axis=1)[:, :_FEET]
     height = np.take_along_axis(heights, lowest, axis=1)
     sigma = np.where(height > 0, evidence.floor_sigma_m[0], evidence.floor_sigma_m[1])
     share = 1.0 / lowest.shape[1] / sigma**2
@@ -212,8 +230,8 @@ def _on_support(sums: _Sums, evidence: Evidence) -> None:
     if not evidence.floor_seen:
         robust = np.where(height < 0, 1.0 / (1.0 + (height / (_FLOOR_LIMIT * sigma)) ** 2), 1.0)
     weight = share * robust**2
-    straight_up = np.outer(evidence.up, evidence.up)
-    sums.add_points(lowest, -height[..., None] * evidence.up, weight[..., None, None] * straight_up)
+    straight_up = np.broadcast_to(evidence.up, (*height.shape, 3))
+    sums.add_points(lowest, -height[..., None] * evidence.up, straight_up, weight, 0.0)
     sums.cost += 0.5 * (share * robust * height**2).sum(axis=1)
 
 
@@ -269,22 +287,36 @@ def _correspond(surface: _Surface, evidence: Evidence) -> tuple[np.ndarray, np.n
     facing = np.ones(surface.world.shape[:2], dtype=bool)
     if evidence.viewpoint is not None:
         facing = np.einsum("smi,smi->sm", surface.normals, evidence.viewpoint - surface.world) > 0
-    features = np.concatenate([surface.world, _NORMAL_LENGTH_M * surface.normals], axis=2)
-    asked = np.hstack([evidence.points, _NORMAL_LENGTH_M * evidence.normals])
-    turned_over = np.hstack([evidence.points, -_NORMAL_LENGTH_M * evidence.normals])
-    for i, visible in enumerate(facing):
-        if not visible.any():
-            continue
-        # A tree that is asked once is not worth balancing.
-        tree = KDTree(features[i, visible], balanced_tree=False, compact_nodes=False)
-        distance, nearest = tree.query(asked)
+    # Near the origin float32 tells samples apart that lie micrometres from each other.
+    origin = evidence.points.mean(axis=0)
+    features = np.concatenate([surface.world - origin, _NORMAL_LENGTH_M * surface.normals], axis=2, dtype=np.float32)
+    # The largest dot product less half the square is the nearest; a sample that faces away is at no distance. For a
+    # tree that is asked once these are too few points.
+    half = np.where(facing, 0.5 * np.einsum("smi,smi->sm", features, features), np.float32(np.inf))
+    asked, turned_over = (
+        np.hstack([evidence.points - origin, sign * _NORMAL_LENGTH_M * evidence.normals], dtype=np.float32)
+        for sign in (1.0, -1.0)
+    )
+    for i, own in enumerate(features):
+        index[i], nearness = _nearest(asked, own, half[i])
         if not evidence.oriented:
-            other, flipped = tree.query(turned_over)
-            nearest = np.where(other < distance, flipped, nearest)
-        index[i] = np.flatnonzero(visible)[nearest]
+            other, other_nearness = _nearest(turned_over, own, half[i])
+            index[i] = np.where(other_nearness > nearness, other, index[i])
         cosine = np.einsum("ni,ni->n", evidence.normals, surface.normals[i, index[i]])
         agrees[i] = (cosine if evidence.oriented else np.abs(cosine)) > _MIN_NORMAL_COSINE
-    return index, agrees
+    return index, agrees & np.any(facing, axis=1, keepdims=True)
+
+
+def _nearest(asked: np.ndarray, features: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Index (n,) of the features (m, c) nearest to each of (n, c), and how near (n,), more being nearer.
+
+    Args:
+        half: (m,) half the square of each feature.
+    """
+    nearness = asked @ features.T
+    nearness -= half
+    index = nearness.argmax(axis=1)
+    return index, nearness[np.arange(len(index)), index]
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -28,6 +28,7 @@ class ModesConfig:
         oval_m: Standard deviation of the ovality of the body (see ovality.py); None lets it be as oval as its class.
         num_points: Points of the evidence that are looked at, at most.
         num_samples: Samples of the primitive's surface.
+        num_modes: Modes that are fitted, at most; the others stay at the mean.
     """
 
     steps: tuple[float, ...] = (0.01, 0.007, 0.005, 0.004, 0.004, 0.003, 0.003, 0.003)
@@ -43,6 +44,7 @@ class ModesConfig:
     oval_m: float | None = None
     num_points: int = 400
     num_samples: int = 1500
+    num_modes: int = 24
 
     def __post_init__(self) -> None:
         if not self.steps or min(self.steps) <= 0:
@@ -53,6 +55,8 @@ class ModesConfig:
             raise InvalidOption(f"oval_m is {self.oval_m}; a positive length or None is expected")
         if min(self.num_points, self.num_samples) < 20:
             raise InvalidOption(f"{self.num_points} points and {self.num_samples} samples: at least 20 are needed")
+        if self.num_modes < 1:
+            raise InvalidOption(f"num_modes is {self.num_modes}; at least 1 is expected")
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,10 +116,11 @@ class StateBatch:
         return self.R * np.exp(self.log_scale)[:, None, :]
 
     @staticmethod
-    def of(states: Sequence[PoseShape]) -> StateBatch:
-        """Stack at least one state."""
+    def of(states: Sequence[PoseShape], num_modes: int) -> StateBatch:
+        """Stack at least one state, with its first modes."""
         names = ("R", "t", "log_scale", "coefficients", "axis_world", "axis_sigma_rad")
-        return StateBatch(*(np.stack([getattr(state, name) for state in states]) for name in names))
+        batch = StateBatch(*(np.stack([getattr(state, name) for state in states]) for name in names))
+        return replace(batch, coefficients=batch.coefficients[:, :num_modes])
 
     def split(self, states: Sequence[PoseShape], cost: np.ndarray, residual_m: np.ndarray) -> list[PoseShape]:
         """The states that these were made of, moved to where these are."""
@@ -125,7 +130,7 @@ class StateBatch:
                 R=self.R[i],
                 t=self.t[i],
                 log_scale=self.log_scale[i],
-                coefficients=self.coefficients[i],
+                coefficients=np.pad(self.coefficients[i], (0, len(state.coefficients) - self.coefficients.shape[1])),
                 cost=float(cost[i]),
                 residual_m=float(residual_m[i]),
             )

@@ -18,6 +18,7 @@ from gfp_grasp.assets import data_dir
 from gfp_grasp.datasets import layout_of
 from gfp_grasp.deform.gfpnet import (
     MODES,
+    PRIMITIVES,
     WEIGHTS,
     Variant,
     change_units,
@@ -104,7 +105,7 @@ def train_gfpnet(
         },
         hours=hours,
         metrics=_measure(network, held_out) if variant == "patch" else _measure_paper(network, _single(held_out)),
-        extra={"primitives": {family: load_primitive(family).card["sha256"] for family in FAMILIES}},
+        extra={"primitives": {name: load_primitive(name).card["sha256"] for name in PRIMITIVES}},
     )
 
 
@@ -234,7 +235,7 @@ def _lap(points: Tensor, near: Tensor) -> Tensor:
 @lru_cache(maxsize=1)
 def _primitives() -> tuple[Tensor, Tensor]:
     """Of every shipped primitive and then its twin: vertices of the patches (q, p, n), modes (q, k, v, 3) m."""
-    shipped = [primitive for family in FAMILIES for primitive in _with_twin(family)]
+    shipped = [primitive for name in PRIMITIVES for primitive in _with_twin(name)]
     index = np.stack([patch_layout(primitive)[0] for primitive in shipped])
     most = max(len(primitive.vertices) for primitive in shipped)
     modes = np.zeros((len(shipped), MODES, most, 3), dtype=np.float32)
@@ -243,9 +244,9 @@ def _primitives() -> tuple[Tensor, Tensor]:
     return torch.from_numpy(index), torch.from_numpy(modes)
 
 
-def _with_twin(family: str) -> tuple[GenericPrimitive, GenericPrimitive]:
+def _with_twin(name: str) -> tuple[GenericPrimitive, GenericPrimitive]:
     """A shipped primitive and its handle-less twin; itself again where it has none."""
-    primitive = load_primitive(family)
+    primitive = load_primitive(name)
     return primitive, primitive.twin or primitive
 
 
@@ -268,13 +269,13 @@ def _objects(
 
 def _object(label: Label) -> tuple[object, ...]:
     """The fields of `Objects` for one label."""
-    primitive = _with_twin(label.category)[label.twin]
+    primitive = _with_twin(label.primitive)[label.twin]
     p = make_patches(primitive, label.vertices, label.template, label.viewpoint)
     coefficients = np.zeros(len(primitive.modes))
     coefficients[: len(label.coefficients)] = label.coefficients  # of a fit that had few modes
     fit = FittedPrimitive(primitive, np.eye(4), label.scale, coefficients, 0.0)
     offset = np.einsum("bni,bij->bnj", (label.target - label.vertices)[p.index], p.frames) / UNIT_M
-    number = 2 * FAMILIES.index(label.category) + int(label.twin)
+    number = 2 * PRIMITIVES.index(label.primitive) + int(label.twin)
     return (
         p.source, p.source_normals, p.template, p.template_normals, p.carried, p.pull, p.place, fit_features(fit),
         offset, p.frames, label.scale, number,
@@ -331,10 +332,10 @@ def _measure(network: nn.Module, objects: Objects) -> dict[str, float]:
         "share_within_two_sigma": round(float(torch.cat(within).float().mean()), 3),
     }
     classes = objects.primitive // 2
-    for number, family in enumerate(FAMILIES):
+    for number, name in enumerate(PRIMITIVES):
         mine = classes == number
-        metrics[f"{family}_error_before_mm"] = _mean_mm(before[mine])
-        metrics[f"{family}_error_after_mm"] = _mean_mm(error[mine])
+        metrics[f"{name}_error_before_mm"] = _mean_mm(before[mine])
+        metrics[f"{name}_error_after_mm"] = _mean_mm(error[mine])
     return metrics
 
 

@@ -21,8 +21,8 @@ from gfp_grasp.deform import SnakeConfig, TemplatePoints, evolve, template_point
 from gfp_grasp.errors import FitDiverged, TooFewPoints
 from gfp_grasp.meshes import crossing_faces, sample_surface, vertex_normals
 from gfp_grasp.parallel import pmap
-from gfp_grasp.primitives import load_primitive
-from gfp_grasp.register import FitConfig, fit_evidence, gather_evidence, handle_is_seen
+from gfp_grasp.primitives import load_kinds
+from gfp_grasp.register import FitConfig, fit_best, gather_evidence, handle_is_seen
 from gfp_grasp.train.views import View, cached_views
 from gfp_grasp.transforms import apply_T, invert_T
 from gfp_grasp.types import FittedPrimitive, GenericPrimitive
@@ -42,7 +42,7 @@ class Label:
     """One fitted view with its label, in the primitive's own frame (rigid, metric).
 
     Attributes:
-        category: Class of the primitive.
+        primitive: Name of the primitive.
         twin: Whether the primitive is the handle-less twin.
         vertices: (v, 3) m, the fit.
         target: (v, 3) m, where the vertices belong.
@@ -52,7 +52,7 @@ class Label:
         scale: (3,) of the fit.
     """
 
-    category: str
+    primitive: str
     twin: bool
     vertices: np.ndarray
     target: np.ndarray
@@ -121,7 +121,7 @@ def _cached_label(view: View, *, folder: Path, fit: FitConfig) -> tuple[Label | 
             vertices, target, *rest = (
                 s[name].astype(float) for name in ("vertices", "target", "viewpoint", "coefficients", "scale")
             )
-            return Label(view.family, bool(s["twin"]), vertices, target, template, *rest), "kept"
+            return Label(str(s["primitive"]), bool(s["twin"]), vertices, target, template, *rest), "kept"
     label, verdict = _label(view, fit, num_modes, support=support)
     path.parent.mkdir(parents=True, exist_ok=True)
     partial_path = path.with_suffix(f".{os.getpid()}.npz")
@@ -131,6 +131,7 @@ def _cached_label(view: View, *, folder: Path, fit: FitConfig) -> tuple[Label | 
         np.savez_compressed(
             partial_path,
             verdict=verdict,
+            primitive=label.primitive,
             twin=label.twin,
             vertices=label.vertices.astype(np.float32),
             target=label.target.astype(np.float32),
@@ -150,9 +151,8 @@ def _label(view: View, config: FitConfig, num_modes: int, *, support: bool) -> t
     try:
         evidence = gather_evidence(detection)
         # How it rests is given: a fit that stands on its head has no label.
-        fit = fit_evidence(
-            evidence, _primitive_of(view.family, num_modes), config=replace(config, hypotheses=(view.resting,))
-        )
+        candidates = [(primitive, 0.0) for primitive in _primitives_of(view.family, num_modes)]
+        fit = fit_best(evidence, candidates, config=replace(config, hypotheses=(view.resting,)))
     except (FitDiverged, TooFewPoints):
         return None, "not fitted"
     twin = fit.primitive.twin is not None and not handle_is_seen(fit, evidence)
@@ -170,12 +170,12 @@ def _label(view: View, config: FitConfig, num_modes: int, *, support: bool) -> t
     vertices = fit.primitive.shape(fit.coefficients, fit.scale)
     viewpoint = apply_T(invert_T(fit.T_world_object), view.viewpoint)
     template = template_points(fit, detection)
-    return Label(view.family, twin, vertices, target, template, viewpoint, fit.coefficients, fit.scale), "kept"
+    return Label(fit.primitive.name, twin, vertices, target, template, viewpoint, fit.coefficients, fit.scale), "kept"
 
 
 @lru_cache(maxsize=32)
-def _primitive_of(category: str, num_modes: int) -> GenericPrimitive:
-    """The shipped primitive with its first modes only, and so its twin."""
+def _primitives_of(category: str, num_modes: int) -> tuple[GenericPrimitive, ...]:
+    """The shipped primitives of a class and its kinds with their first modes only, and so their twins."""
 
     def shortened(primitive: GenericPrimitive) -> GenericPrimitive:
         samples, count = primitive.coefficient_samples, min(num_modes, len(primitive.modes))
@@ -187,8 +187,8 @@ def _primitive_of(category: str, num_modes: int) -> GenericPrimitive:
             twin=None if primitive.twin is None else shortened(primitive.twin),
         )
 
-    return shortened(load_primitive(category))
+    return tuple(shortened(primitive) for primitive in load_kinds(category))
 
 
 def _card_id(family: str) -> bytes:
-    return str(load_primitive(family).card.get("sha256", "")).encode()
+    return "".join(str(primitive.card.get("sha256", "")) for primitive in load_kinds(family)).encode()
