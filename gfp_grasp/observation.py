@@ -114,7 +114,7 @@ def _in_sight(vertices: np.ndarray, faces: np.ndarray, viewpoint: np.ndarray) ->
     sight = viewpoint - vertices
     sight /= np.linalg.norm(sight, axis=1, keepdims=True)
     facing = np.einsum("vi,vi->v", normals, sight) > 0
-    hit, _, _ = cast_rays([vertices[faces]], vertices + _LIFT_M * normals + _LIFT_M * sight, sight)
+    hit, _, _ = cast_rays([(vertices, faces)], vertices + _LIFT_M * normals + _LIFT_M * sight, sight)
     return facing & ~np.isfinite(hit)
 
 

@@ -126,7 +126,7 @@ def test_an_empty_mesh_keeps_the_numbers_of_those_after_it():
 def test_rays_that_miss_everything_come_back_infinite():
     box = trimesh.creation.box((1, 1, 1))
     distance, triangle, soup = camera.cast_rays(
-        [box.triangles], np.array([0, 0, 5.0]), np.array([[0, 0, -1.0], [0, 0, 1]])
+        [(box.vertices, box.faces)], np.array([0, 0, 5.0]), np.array([[0, 0, -1.0], [0, 0, 1]])
     )
     assert distance.tolist() == [4.5, np.inf]
     assert soup.tolist() == [0, -1]

@@ -93,7 +93,7 @@ def in_sight(mesh: trimesh.Trimesh, points: np.ndarray, normals: np.ndarray, vie
     """Which points (n, 3) of a mesh's surface, with their normals, nothing hides from a viewpoint; (n,) bool."""
     sight = viewpoint - points
     facing = np.einsum("ni,ni->n", sight, normals) > 0
-    distance, _, _ = cast_rays([np.asarray(mesh.triangles)], points + _LIFT_M * normals, sight)
+    distance, _, _ = cast_rays([(np.asarray(mesh.vertices), np.asarray(mesh.faces))], points + _LIFT_M * normals, sight)
     return facing & ~np.isfinite(distance)
 
 

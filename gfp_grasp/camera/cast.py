@@ -43,8 +43,11 @@ def render_mesh_view(
     """
     T_camera_world = invert_T(T_world_camera)
     rays = pixel_rays(K, width, height).reshape(-1, 3)
-    triangles = [apply_T(T_camera_world, _checked_triangles(mesh, index)) for index, mesh in enumerate(meshes)]
-    depth, _, index = cast_rays(triangles, np.zeros(3), rays)
+    seen = []
+    for number, mesh in enumerate(meshes):
+        vertices, faces = _checked(mesh, number)
+        seen.append((apply_T(T_camera_world, vertices), faces))
+    depth, _, index = cast_rays(seen, np.zeros(3), rays)
     if table_height is not None:
         table = _table_depth(rays, T_camera_world, table_height)
         index = np.where(table < depth, len(meshes), index)
@@ -56,18 +59,18 @@ def render_mesh_view(
 
 
 def cast_rays(
-    triangles: Sequence[np.ndarray], origins: np.ndarray, directions: np.ndarray
+    meshes: Sequence[tuple[np.ndarray, np.ndarray]], origins: np.ndarray, directions: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """First hit of each ray on several triangle soups.
+    """First hit of each ray on several meshes.
 
     Args:
-        triangles: One (f, 3, 3) array m a soup.
+        meshes: Vertices (v, 3) m and faces (f, 3) of each.
         origins: (r, 3) or (3,) m.
         directions: (r, 3), of any length.
 
     Returns:
-        Distances (r,) in units of each direction's length, inf where nothing is hit; the triangle (r,) int that was
-        hit, in its soup, and the soup (r,) int; both -1 where nothing is hit. Embree works in float32.
+        Distances (r,) in units of each direction's length, inf where nothing is hit; the face (r,) int that was hit,
+        of its mesh, and the mesh (r,) int; both -1 where nothing is hit. Embree works in float32.
     """
     from embreex.mesh_construction import TriangleMesh
     from embreex.rtcore_scene import EmbreeScene
@@ -75,18 +78,21 @@ def cast_rays(
     directions = np.ascontiguousarray(directions, dtype=np.float32)
     origins = np.ascontiguousarray(np.broadcast_to(origins, directions.shape), dtype=np.float32)
     scene = EmbreeScene(robust=True)  # without it rays slip through shared edges
-    soups = [(number, soup) for number, soup in enumerate(triangles) if len(soup)]
+    solid = [(number, vertices, faces) for number, (vertices, faces) in enumerate(meshes) if len(faces)]
     # Embree numbers its geometries in the order of their making and reads their memory later: they are kept.
-    kept = [TriangleMesh(scene, np.ascontiguousarray(soup, dtype=np.float32)) for _, soup in soups]
+    kept = [
+        TriangleMesh(scene, np.ascontiguousarray(v, dtype=np.float32), np.ascontiguousarray(f, dtype=np.int32))
+        for _, v, f in solid
+    ]
     if not kept:
         nothing = np.full(len(directions), -1)
         return np.full(len(directions), np.inf), nothing, nothing.copy()
     hit = scene.run(origins, directions, query="INTERSECT", output=1)
     geometry, missed = hit["geomID"].astype(np.int64), hit["primID"] < 0
-    numbers = np.array([number for number, _ in soups])
-    soup_of = np.where(missed, -1, numbers[np.where(missed, 0, geometry)])
+    numbers = np.array([number for number, _, _ in solid])
+    mesh_of = np.where(missed, -1, numbers[np.where(missed, 0, geometry)])
     distance = np.where(missed, np.inf, hit["tfar"].astype(np.float64))
-    return distance, np.where(missed, -1, hit["primID"]).astype(np.int64), soup_of
+    return distance, np.where(missed, -1, hit["primID"]).astype(np.int64), mesh_of
 
 
 def _table_depth(rays: np.ndarray, T_camera_world: np.ndarray, table_height: float) -> np.ndarray:
@@ -99,10 +105,10 @@ def _table_depth(rays: np.ndarray, T_camera_world: np.ndarray, table_height: flo
     return np.where((depth > 0) & np.isfinite(depth), depth, np.inf)
 
 
-def _checked_triangles(mesh: trimesh.Trimesh, index: int) -> np.ndarray:
+def _checked(mesh: trimesh.Trimesh, index: int) -> tuple[np.ndarray, np.ndarray]:
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
     if not np.isfinite(vertices).all():
         raise InvalidMesh(f"mesh {index} has vertices that are not finite: clean it before it is rendered")
     if len(faces) and not (faces.min() >= 0 and faces.max() < len(vertices)):
         raise InvalidMesh(f"mesh {index} has a face index outside its {len(vertices)} vertices")
-    return vertices[faces]
+    return vertices, faces

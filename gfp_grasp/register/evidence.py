@@ -162,22 +162,28 @@ def thin(points: np.ndarray, count: int) -> np.ndarray:
         return points
     origin = points.min(axis=0)
     low, high = 1e-5, float(np.ptp(points, axis=0).max()) + 1e-9
-    cells = np.empty(0)
+    size, cells = high / np.sqrt(count), np.empty(0)
     for _ in range(18):
-        size = np.sqrt(low * high)
+        if not low < size < high:
+            size = np.sqrt(low * high)
         cells = _cell_ids(points, origin, size)
         num_cells = len(np.unique(cells))
         if count <= num_cells <= 1.2 * count:
             break
         low, high = (low, size) if num_cells < count else (size, high)
+        size *= np.sqrt(num_cells / (1.1 * count))  # as a surface has it
     else:
         cells = _cell_ids(points, origin, high)
-    _, first, inverse, counts = np.unique(cells, return_index=True, return_inverse=True, return_counts=True)
+    _, inverse, counts = np.unique(cells, return_inverse=True, return_counts=True)
     means = np.column_stack([np.bincount(inverse, points[:, axis]) for axis in range(3)]) / counts[:, None]
     # To 10 nm: the two points of a cell are equally near its mean, and rounding must not choose between them.
     distance = np.round(np.linalg.norm(points - means[inverse], axis=1), 8)
-    order = np.lexsort((points[:, 2], points[:, 1], points[:, 0], distance, inverse))
-    return points[order[np.searchsorted(inverse[order], np.arange(len(first)))]]
+    least = np.full(len(counts), np.inf)
+    np.minimum.at(least, inverse, distance)
+    near = np.flatnonzero(distance == least[inverse])
+    x, y, z = points[near].T
+    order = near[np.lexsort((z, y, x, inverse[near]))]
+    return points[order[np.searchsorted(inverse[order], np.arange(len(counts)))]]
 
 
 def estimate_normals(

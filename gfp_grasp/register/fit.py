@@ -35,8 +35,8 @@ _SIGHTS = 120  # lines of sight that are looked along
 _ROUND_M = 0.0003  # ovality of what is round, as made and as its modes show it
 _OCCAM = 3.0  # how much less a round body has to explain, negative log odds; ours
 
-_QUICK = ModesConfig(steps=(0.02, 0.015, 0.01, 0.008, 0.006), num_points=150, num_samples=600, num_modes=8)
-_MIDDLE = ModesConfig(steps=(0.02, 0.012, 0.008, 0.006, 0.005, 0.004), num_points=250, num_samples=1000)
+_QUICK = ModesConfig(steps=(0.02, 0.015, 0.01, 0.006), num_points=100, num_samples=400, num_modes=5)
+_MIDDLE = ModesConfig(steps=(0.02, 0.012, 0.008, 0.006, 0.005, 0.004), num_points=200, num_samples=800)
 _THOROUGH = ModesConfig(steps=(0.004, 0.003, 0.003, 0.003))
 
 HYPOTHESES = ("upright", "upside_down", "lying")
@@ -56,6 +56,7 @@ class FitConfig:
         keep: Starts of which there is a middle refinement.
         behind: A start whose cost is larger than the best's by this after that is given up.
         rival_behind: A primitive whose best start is behind another's by this after the first steps is given up.
+        rival_raced_behind: The same after the quick steps.
         roundness: Ask whether the body is as deep as it is wide.
         size: (3,) scale of every start along the primitive's axes, ones for its own; None leaves it to the points.
         refine: Refine the starts; False takes the best of them as it is.
@@ -71,6 +72,7 @@ class FitConfig:
     keep: int = 3
     behind: float = 15.0
     rival_behind: float = 50.0
+    rival_raced_behind: float = 25.0
     roundness: bool = True
     size: tuple[float, float, float] | None = None
     refine: bool = True
@@ -86,8 +88,8 @@ class FitConfig:
             raise InvalidOption(f"survivors is {self.survivors}; a share in (0, 1] is expected")
         if self.size is not None and not (len(self.size) == 3 and min(self.size) > 0):
             raise InvalidOption(f"size is {self.size}; three positive factors are expected")
-        if min(self.behind, self.rival_behind) < 0:
-            raise InvalidOption(f"behind is {self.behind}, {self.rival_behind}; costs from 0 on are expected")
+        if min(self.behind, self.rival_behind, self.rival_raced_behind) < 0:
+            raise InvalidOption("behind, rival_behind and rival_raced_behind must be costs from 0 on")
         if self.keep < 1:
             raise InvalidOption(f"keep is {self.keep}; at least one start must be refined")
 
@@ -144,10 +146,10 @@ def fit_best(
     if config.refine and _is_cut_off(found, evidence, config):
         evidence = cut_off(evidence)
         found = _best_of(evidence, candidates, config)
-    best, primitive = found.finals[0], found.primitive
+    best, primitive = found.best, found.primitive
     if config.roundness and config.refine:
         best = _rounder(best, primitive, evidence, config)
-    others = [total_cost(s) for s in (*found.finals, *found.raced) if s.hypothesis != best.hypothesis]
+    others = [total_cost(state) for state in found.states if state.hypothesis != best.hypothesis]
     margin = min(others) / max(total_cost(best), 1e-9) if others else float("inf")
     return FittedPrimitive(
         primitive=primitive,
@@ -168,35 +170,45 @@ class _Race:
     Attributes:
         primitive: Whose states they are.
         odds: Its negative log odds.
-        raced: All starts as they are.
-        finals: Leaders, refined to the end.
+        states: As they are.
     """
 
     primitive: GenericPrimitive
     odds: float
-    raced: list[PoseShape]
-    finals: list[PoseShape]
+    states: list[PoseShape]
+
+    @property
+    def best(self) -> PoseShape:
+        """The state of the least cost."""
+        return self.states[0]
 
     @property
     def cost(self) -> float:
         """Of the best state, with the odds of the primitive."""
-        return total_cost((self.finals or self.raced)[0]) + self.odds
+        return total_cost(self.best) + self.odds
 
 
 def _best_of(evidence: Evidence, candidates: Sequence[tuple[GenericPrimitive, float]], config: FitConfig) -> _Race:
-    """Of all primitives the starts are tried; those that are far behind then are given up."""
+    """Of all primitives the starts are tried; those that are far behind after the first steps, or the race, give up."""
     races = [_begun(primitive, odds, evidence, config) for primitive, odds in candidates]
-    hopeful = min(race.cost for race in races) + config.rival_behind
-    done = [_finished(race, evidence, config) for race in races if race.cost <= hopeful]
-    fits = [race for race in done if race.finals[0].residual_m <= config.max_residual_m and np.isfinite(race.cost)]
+    if config.refine:
+        races = [_raced(race, evidence, config) for race in _hopeful(races, config.rival_behind)]
+        races = [_finished(race, evidence, config) for race in _hopeful(races, config.rival_raced_behind)]
+    fits = [race for race in races if race.best.residual_m <= config.max_residual_m and np.isfinite(race.cost)]
     if not fits:
-        nearest = min(done, key=lambda race: race.finals[0].residual_m)
+        nearest = min(races, key=lambda race: race.best.residual_m)
         raise FitDiverged(
             f"{nearest.primitive.category}: the best start misses the points by "
-            f"{nearest.finals[0].residual_m * 1000:.1f} mm, {config.max_residual_m * 1000:.0f} mm is allowed: "
+            f"{nearest.best.residual_m * 1000:.1f} mm, {config.max_residual_m * 1000:.0f} mm is allowed: "
             "is it one object, in metres, with the right up?"
         )
     return min(fits, key=lambda race: race.cost)
+
+
+def _hopeful(races: list[_Race], behind: float) -> list[_Race]:
+    """Those whose cost is not larger than the least by more than that."""
+    limit = min(race.cost for race in races) + behind
+    return [race for race in races if race.cost <= limit]
 
 
 def _begun(primitive: GenericPrimitive, odds: float, evidence: Evidence, config: FitConfig) -> _Race:
@@ -212,20 +224,20 @@ def _begun(primitive: GenericPrimitive, odds: float, evidence: Evidence, config:
         states = refine(states, primitive, evidence, replace(config.quick, steps=config.quick.steps[:_HEAD_STEPS]))
     else:
         states = judge(states, primitive, evidence, config.thorough)
-    return _Race(primitive, odds, sorted(states, key=total_cost), [])
+    return _Race(primitive, odds, sorted(states, key=total_cost))
 
 
-def _finished(race: _Race, evidence: Evidence, config: FitConfig) -> _Race:
-    """The better share of the starts refined by the rest of the steps, and the leaders of them to the end."""
-    if not config.refine:
-        return replace(race, finals=race.raced)
-    states, tail = race.raced, config.quick.steps[_HEAD_STEPS:]
+def _raced(race: _Race, evidence: Evidence, config: FitConfig) -> _Race:
+    """The better share of the starts refined by the rest of the quick steps; the leaders of them."""
+    states, tail = race.states, config.quick.steps[_HEAD_STEPS:]
     if tail:
         go_on = _leaders(states, max(config.keep, round(config.survivors * len(states))))
         quick = replace(config.quick, steps=tail)
         states = sorted(refine(go_on, race.primitive, evidence, quick), key=total_cost)
-    finals = _finals(_leaders(states, config.keep), race.primitive, evidence, config)
-    return replace(race, raced=states, finals=finals)
+    leaders = _leaders(states, config.keep)
+    blocking = [_blocking_cost(state, race.primitive, evidence, config.thorough) for state in leaders]
+    leaders = [replace(state, cost=state.cost + more) for state, more in zip(leaders, blocking, strict=True)]
+    return replace(race, states=sorted(leaders, key=total_cost))
 
 
 def _is_cut_off(race: _Race, evidence: Evidence, config: FitConfig) -> bool:
@@ -235,32 +247,28 @@ def _is_cut_off(race: _Race, evidence: Evidence, config: FitConfig) -> bool:
     """
     if evidence.silhouette is None or evidence.silhouette.certain or not config.thorough.free_space:
         return False
-    return free_space_cost(race.finals[0], race.primitive, evidence, config.thorough) > _OCCLUSION
+    return free_space_cost(race.best, race.primitive, evidence, config.thorough) > _OCCLUSION
 
 
-def _finals(
-    states: list[PoseShape], primitive: GenericPrimitive, evidence: Evidence, config: FitConfig
-) -> list[PoseShape]:
-    """The leaders refined to the end, best first, and after them those that were given up half-way."""
-    early = [total_cost(s) + _blocking_cost(s, primitive, evidence, config.thorough) for s in states]
-    given_up = [s for s, cost in zip(states, early, strict=True) if cost > min(early) + _HOPELESS]
-    states = [s for s, cost in zip(states, early, strict=True) if cost <= min(early) + _HOPELESS]
-    states = sorted(refine(states, primitive, evidence, config.middle), key=total_cost)
-    hopeful, go_on = np.inf, []
-    for state in states:
-        if total_cost(state) <= hopeful:
-            # What stands in the line of sight half-way does so at the end.
+def _finished(race: _Race, evidence: Evidence, config: FitConfig) -> _Race:
+    """The leaders refined to the end, and after them those that were given up on the way."""
+    primitive, limit = race.primitive, total_cost(race.best) + _HOPELESS
+    given_up = [state for state in race.states if total_cost(state) > limit]
+    states = refine([s for s in race.states if total_cost(s) <= limit], primitive, evidence, config.middle)
+    limit, go_on = np.inf, []
+    for state in sorted(states, key=total_cost):
+        # What stands in the line of sight half-way does so at the end.
+        more = 0.0
+        if total_cost(state) <= limit:
             more = _blocking_cost(state, primitive, evidence, config.thorough)
             more += _ending_cost(state, primitive, evidence)
-            hopeful = min(hopeful, total_cost(state) + more + config.behind)
-            go_on.append((state, more))
-        else:
-            given_up.append(state)
-    given_up += [replace(s, cost=s.cost + more) for s, more in go_on if total_cost(s) + more > hopeful]
-    go_on = [(s, more) for s, more in go_on if total_cost(s) + more <= hopeful]
+            limit = min(limit, total_cost(state) + more + config.behind)
+        go_on.append((state, more))
+    given_up += [replace(s, cost=s.cost + more) for s, more in go_on if total_cost(s) + more > limit]
+    go_on = [(s, more) for s, more in go_on if total_cost(s) + more <= limit]
     refined = refine([s for s, _ in go_on], primitive, evidence, config.thorough)
     finished = [replace(s, cost=s.cost + more) for s, (_, more) in zip(refined, go_on, strict=True)]
-    return sorted(finished, key=total_cost) + given_up
+    return replace(race, states=sorted(finished, key=total_cost) + given_up)
 
 
 def _rounder(state: PoseShape, primitive: GenericPrimitive, evidence: Evidence, config: FitConfig) -> PoseShape:
@@ -287,9 +295,8 @@ def _blocking_cost(state: PoseShape, primitive: GenericPrimitive, evidence: Evid
     if evidence.viewpoint is None:
         return 0.0
     local = primitive.shape(state.coefficients, np.exp(state.log_scale))
-    triangles = (local @ state.R.T + state.t)[primitive.faces]
     sight = evidence.points - evidence.viewpoint
-    distance, _, _ = cast_rays([triangles], evidence.viewpoint, sight)
+    distance, _, _ = cast_rays([(local @ state.R.T + state.t, primitive.faces)], evidence.viewpoint, sight)
     length = np.linalg.norm(sight, axis=1)
     blocked = float((distance * length < length - _HIDDEN_M).mean())
     robust_m, sigma = config.steps[-1], np.hypot(evidence.sigma_m, config.misfit_m)

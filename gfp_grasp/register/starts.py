@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -24,17 +25,14 @@ def starts(primitive: GenericPrimitive, evidence: Evidence, hypotheses: tuple[st
 
     The hidden side is placed by the seen width: an object is about as deep as it is wide.
     """
-    up, toward = evidence.up, _toward_viewer(evidence)
     found = []
     for hypothesis in hypotheses:
         if hypothesis == "lying":
-            for axis in _long_axes(evidence):
-                found.append(_lying(primitive, evidence, axis, up))
+            found += [_lying(primitive, evidence, log) for log in _logs(evidence)]
             continue
-        axis = up if hypothesis == "upright" else -up
-        box = _box_along(axis, toward, evidence, hypothesis)
+        box, toward = _box_along(evidence, hypothesis), _toward_viewer(evidence)
         for yaw in _yaws(primitive):
-            found.append(_standing(primitive, evidence, hypothesis, box, rotation_about(up, yaw) @ toward))
+            found.append(_standing(primitive, evidence, hypothesis, box, rotation_about(evidence.up, yaw) @ toward))
     return found
 
 
@@ -59,7 +57,29 @@ class _Box:
     near: float
 
 
-def _box_along(axis: np.ndarray, toward: np.ndarray, evidence: Evidence, hypothesis: str) -> _Box:
+@dataclass(frozen=True, eq=False)
+class _Log:
+    """What is seen of the points in the frame of a horizontal axis.
+
+    Attributes:
+        axis: (3,) unit.
+        flat: (3,) unit, horizontal, across the axis.
+        length: Ends along the axis, m.
+        top: Highest of the points, m.
+        middle: Of the points along flat, m.
+    """
+
+    axis: np.ndarray
+    flat: np.ndarray
+    length: tuple[float, float]
+    top: float
+    middle: float
+
+
+@lru_cache(maxsize=8)  # one evidence serves several primitives
+def _box_along(evidence: Evidence, hypothesis: str) -> _Box:
+    toward = _toward_viewer(evidence)
+    axis = evidence.up if hypothesis == "upright" else -evidence.up
     across = np.cross(axis, toward)
     across /= np.linalg.norm(across)
     deep = np.cross(across, axis)
@@ -72,6 +92,18 @@ def _box_along(axis: np.ndarray, toward: np.ndarray, evidence: Evidence, hypothe
         high = max(high, -evidence.floor_m)
     left, right = (float(a) for a in np.quantile(aside, (0.01, 0.99)))
     return _Box(axis, across, deep, (low, high), (left, right), float(np.quantile(depth, 0.99)))
+
+
+@lru_cache(maxsize=8)
+def _logs(evidence: Evidence) -> tuple[_Log, ...]:
+    found = []
+    for axis in _long_axes(evidence):
+        flat = np.cross(evidence.up, axis)
+        flat /= np.linalg.norm(flat)
+        along, height, aside = (evidence.points @ np.column_stack([axis, evidence.up, flat])).T
+        low, high = (float(a) for a in np.quantile(along, (0.005, 0.995)))
+        found.append(_Log(axis, flat, (low, high), float(np.quantile(height, 0.99)), float(np.median(aside))))
+    return tuple(found)
 
 
 def _standing(
@@ -99,20 +131,17 @@ def _standing(
     return _state(primitive, R, centre, wide, long, _STANDING_SIGMA_RAD, hypothesis)
 
 
-def _lying(primitive: GenericPrimitive, evidence: Evidence, axis: np.ndarray, up: np.ndarray) -> PoseShape:
+def _lying(primitive: GenericPrimitive, evidence: Evidence, log: _Log) -> PoseShape:
     """A start that lies along an axis: as high as it is thick, its middle half of that above the support."""
-    R = _frame(axis, up)
-    flat = np.cross(up, axis)
-    flat /= np.linalg.norm(flat)
-    along, height = (primitive.vertices @ (R.T @ np.column_stack([axis, up]))).T
-    seen_along, seen_height, seen_aside = (evidence.points @ np.column_stack([axis, up, flat])).T
-    low, high = (float(a) for a in np.quantile(seen_along, (0.005, 0.995)))
+    R = _frame(log.axis, evidence.up)
+    along, height = (primitive.vertices @ (R.T @ np.column_stack([log.axis, evidence.up]))).T
+    low, high = log.length
     long = max(high - low, 1e-3) / float(np.ptp(along))
-    wide = max(float(np.quantile(seen_height, 0.99)) - evidence.floor_m, 1e-3) / float(np.ptp(height))
+    wide = max(log.top - evidence.floor_m, 1e-3) / float(np.ptp(height))
     centre = (
-        up * (evidence.floor_m - wide * float(height.min()))
-        + flat * float(np.median(seen_aside))
-        + axis * (low - long * float(along.min()))
+        evidence.up * (evidence.floor_m - wide * float(height.min()))
+        + log.flat * log.middle
+        + log.axis * (low - long * float(along.min()))
     )
     return _state(primitive, R, centre, wide, long, _LYING_SIGMA_RAD, "lying")
 
@@ -179,6 +208,7 @@ def _as_it_goes_on(
     return ends[0], ends[1]
 
 
+@lru_cache(maxsize=8)
 def _toward_viewer(evidence: Evidence) -> np.ndarray:
     """Horizontal unit direction from the points to the viewer; without one, the shortest side of the points."""
     up = evidence.up
