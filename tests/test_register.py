@@ -61,6 +61,7 @@ def test_fit_shifts_with_its_input():
         category="cup",
         scores={"cup": 1.0},
         box=OrientedBox(T @ detection.box.T_world_box, detection.box.extents),
+        sensor_sigma_m=detection.sensor_sigma_m,
     )
     first, second = (fit_primitive(d, toy_cup_primitive(), config=BOX) for d in (detection, moved))
     # The cup is round: its vertices may be turned about the axis, its surface may not move.

@@ -14,7 +14,7 @@ from gfp_grasp.types import ConvexPart
 # Faces on which two parts meet are no surface of the union. They are told by a step outward that lands in the
 # neighbour; it is a share of the diagonal, and bridges the hairline cracks that carrying opens.
 _STEP = 2e-3
-_NEIGHBOURS = 5
+_NEIGHBOURS = 8
 _R2 = (0.7548776662466927, 0.5698402909980532)
 
 

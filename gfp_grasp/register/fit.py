@@ -35,8 +35,8 @@ _SIGHTS = 120  # lines of sight that are looked along
 _ROUND_M = 0.0003  # ovality of what is round, as made and as its modes show it
 _OCCAM = 3.0  # how much less a round body has to explain, negative log odds; ours
 
-_QUICK = ModesConfig(steps=(0.02, 0.015, 0.01, 0.006), num_points=100, num_samples=400, num_modes=5)
-_MIDDLE = ModesConfig(steps=(0.02, 0.012, 0.008, 0.006, 0.005, 0.004), num_points=200, num_samples=800)
+_QUICK = ModesConfig(steps=(0.02, 0.015, 0.01, 0.008, 0.006), num_points=150, num_samples=600, num_modes=5)
+_MIDDLE = ModesConfig(steps=(0.02, 0.012, 0.008, 0.006, 0.005, 0.004), num_points=250, num_samples=1000)
 _THOROUGH = ModesConfig(steps=(0.004, 0.003, 0.003, 0.003))
 
 HYPOTHESES = ("upright", "upside_down", "lying")
