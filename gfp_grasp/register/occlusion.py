@@ -23,7 +23,7 @@ _CONTACT = 0.4  # share of the outline's extent along a straight edge that lies 
 _LOWEST = 0.04  # share of the points that are the lowest seen
 
 
-def cut_off(evidence: Evidence) -> Evidence:
+def cut_off(evidence: Evidence, *, straight: bool = True) -> Evidence:
     """The evidence of an object of which something nearer hides a part.
 
     Where a long straight stretch of the outline faces the viewpoint and nothing lies beyond it, that is taken for the
@@ -32,6 +32,7 @@ def cut_off(evidence: Evidence) -> Evidence:
 
     Args:
         evidence: With a viewpoint and a silhouette that is guessed from the points.
+        straight: Look for a straight edge.
     """
     silhouette = evidence.silhouette
     assert silhouette is not None
@@ -40,7 +41,7 @@ def cut_off(evidence: Evidence) -> Evidence:
     facing = np.einsum("ni,ni->n", evidence.normals, sight) / np.linalg.norm(sight, axis=1) > _FACING_COSINE
     seen = silhouette.pixels(evidence.points)[0][:, ::-1]  # row, column
     outline = _outline(silhouette)
-    line = _straight_edge(outline, facing[KDTree(seen).query(outline)[1]])
+    line = _straight_edge(outline, facing[KDTree(seen).query(outline)[1]]) if straight else None
     free = np.argwhere(silhouette.free_depth_m > 0)
     if line is None:
         edge = free + silhouette.offset_px[:, free[:, 0], free[:, 1]].T
