@@ -36,13 +36,14 @@ def _objects(*labels: Label) -> Objects:
 
 def test_a_change_of_the_fit_moves_the_patches_of_training_as_it_moves_the_vertices_of_a_completion():
     rng = np.random.default_rng(0)
-    labels = [_label("cup", rng), _label("mug", rng), _label("mug", rng, twin=True), _label("bottle", rng)]
+    names = ("cup", "cup.stemmed", "mug", "bottle", "bottle.jug")
+    labels = [*(_label(name, rng) for name in names), _label("mug", rng, twin=True)]
     objects = _objects(*labels)
     change = rng.normal(size=(len(labels), CHANGE))
     everything = torch.arange(objects.source.shape[2])
     patches = _field(objects, torch.tensor(change, dtype=torch.float32), everything)
     for label, own, moved in zip(labels, change, patches, strict=True):
-        primitive = load_primitive(label.category)
+        primitive = load_primitive(label.primitive)
         primitive = (primitive.twin if label.twin else primitive) or primitive
         fit = FittedPrimitive(primitive, np.eye(4), label.scale, label.coefficients, 0.0)
         field = mode_field(fit, own)
