@@ -60,6 +60,7 @@ def test_kinds_of_a_class_are_found_and_completed_as_what_they_are(kind):
     for seed in seeds:
         truth, _, _, cloud = _see(family, seed)
         done = complete_to_mesh(cloud.points, viewpoint=cloud.viewpoint)
+        assert done.fit is not None
         assert done.fit.primitive.name == kind
         rng = np.random.default_rng(0)
         errors.append(chamfer_m(visible_surface(done.mesh, 8192, rng), visible_surface(truth, 8192, rng)))
@@ -73,6 +74,7 @@ def test_without_kinds_a_class_is_what_it_is_fitted_by():
     seed = next(seed for seed in split_seeds("cup", "test") if make_shape("cup", seed).kind == "stemmed")
     cloud = _see("cup", seed)[-1]
     done = complete_to_mesh(cloud.points, viewpoint=cloud.viewpoint, config=CompleteConfig(kinds=False))
+    assert done.fit is not None
     assert done.fit.primitive.kind == ""
 
 

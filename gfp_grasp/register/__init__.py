@@ -1,8 +1,9 @@
 """Registration of a primitive onto one view: starts, then pose, scale and modes by robust least squares."""
 
+from gfp_grasp.register.config import FitConfig
 from gfp_grasp.register.evaluate import handle_is_seen
 from gfp_grasp.register.evidence import Evidence, gather_evidence
-from gfp_grasp.register.fit import FitConfig, fit_best, fit_evidence, fit_primitive
+from gfp_grasp.register.fit import fit_best, fit_evidence, fit_primitive
 from gfp_grasp.register.icp import icp_config, pcrnet_config
 from gfp_grasp.register.state import ModesConfig
 

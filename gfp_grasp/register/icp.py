@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-from gfp_grasp.register.fit import FitConfig
+from gfp_grasp.register.config import FitConfig
 from gfp_grasp.register.state import ModesConfig
 
 _RIGID = ModesConfig(estimate_scale=False, estimate_modes=False, free_space=False)
