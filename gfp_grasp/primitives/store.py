@@ -67,8 +67,9 @@ def list_primitives() -> tuple[str, ...]:
     return tuple(name for name in _names() if "." not in name)
 
 
+@cache
 def load_kinds(category: str) -> tuple[GenericPrimitive, ...]:
-    """The primitive of a class and then those of its kinds.
+    """The primitive of a class and then those of its kinds; read once.
 
     Raises:
         UnknownCategory: No such class.

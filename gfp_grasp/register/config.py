@@ -62,6 +62,9 @@ class FitConfig:
         if self.size is not None and not (len(self.size) == 3 and min(self.size) > 0):
             raise InvalidOption(f"size is {self.size}; three positive factors are expected")
         if min(self.behind, self.rival_behind, self.rival_raced_behind) < 0:
-            raise InvalidOption("behind, rival_behind and rival_raced_behind must be costs from 0 on")
+            raise InvalidOption(
+                f"behind is {self.behind}, rival_behind {self.rival_behind} and rival_raced_behind "
+                f"{self.rival_raced_behind}; costs from 0 on are expected"
+            )
         if self.keep < 1:
             raise InvalidOption(f"keep is {self.keep}; at least one start must be refined")

@@ -151,9 +151,8 @@ def blocking_cost(state: PoseShape, primitive: GenericPrimitive, evidence: Evide
     evidence = evidence.few(_SIGHTS)
     if evidence.viewpoint is None:
         return 0.0
-    local = primitive.shape(state.coefficients, np.exp(state.log_scale))
     sight = evidence.points - evidence.viewpoint
-    distance, _, _ = cast_rays([(local @ state.R.T + state.t, primitive.faces)], evidence.viewpoint, sight)
+    distance, _, _ = cast_rays([(_vertices(state, primitive), primitive.faces)], evidence.viewpoint, sight)
     length = np.linalg.norm(sight, axis=1)
     blocked = float((distance * length < length - _HIDDEN_M).mean())
     robust_m, sigma = config.steps[-1], np.hypot(evidence.sigma_m, config.misfit_m)
@@ -164,9 +163,13 @@ def _ending_cost(state: PoseShape, primitive: GenericPrimitive, evidence: Eviden
     """Cost of a surface that ends where something hides how it goes on."""
     if evidence.cut is None:
         return 0.0
-    world = state.world(primitive.shape(state.coefficients, np.ones(3)))
-    beyond = float(((world - evidence.viewpoint) @ evidence.cut > 0).mean())
+    beyond = float(((_vertices(state, primitive) - evidence.viewpoint) @ evidence.cut > 0).mean())
     return _ENDING * max(0.0, 1.0 - beyond / _GOES_ON)
+
+
+def _vertices(state: PoseShape, primitive: GenericPrimitive) -> np.ndarray:
+    """Vertices (v, 3) m, world, of a primitive in some state."""
+    return state.world(primitive.shape(state.coefficients, np.ones(3)))
 
 
 def _leaders(states: list[PoseShape], keep: int) -> list[PoseShape]:
@@ -184,5 +187,4 @@ def _leaders(states: list[PoseShape], keep: int) -> list[PoseShape]:
             chosen.append(state)
         if len(chosen) == keep:
             break
-    chosen += [s for s in firsts.values() if s.hypothesis not in {c.hypothesis for c in chosen}]
-    return chosen
+    return chosen + [s for s in firsts.values() if s.hypothesis not in {c.hypothesis for c in chosen}]
