@@ -73,13 +73,13 @@ def _mirrored(
     seen: KDTree,
     surface: KDTree,
 ) -> list[TemplatePoints]:
-    images = []
+    images, near_m = [], _PLAUSIBLE_M + _vertex_spacing(surface)
     for signs, takes_handle in _mirrors(fit):
         moved, turned = points * signs, normals * signs
         keep = np.ones(len(points), dtype=bool) if takes_handle else ~on_handle
         keep &= seen.query(moved)[0] > _SILENT_M
         distance, nearest = surface.query(moved)
-        keep &= distance < _PLAUSIBLE_M + _vertex_spacing(surface)
+        keep &= distance < near_m
         if not takes_handle:
             keep &= fit.primitive.regions[nearest] != HANDLE
         images.append(TemplatePoints(moved[keep], turned[keep], np.ones(int(keep.sum()), dtype=bool)))

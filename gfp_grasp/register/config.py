@@ -8,9 +8,9 @@ from typing import Literal
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.register.state import ModesConfig
 
-_QUICK = ModesConfig(steps=(0.02, 0.015, 0.01, 0.008, 0.006), num_points=150, num_samples=600, num_modes=5)
-_MIDDLE = ModesConfig(steps=(0.02, 0.012, 0.008, 0.006, 0.005, 0.004), num_points=250, num_samples=1000)
-_THOROUGH = ModesConfig(steps=(0.004, 0.003, 0.003, 0.003))
+_QUICK = ModesConfig(steps=(0.02, 0.015, 0.01, 0.008, 0.006), num_points=100, num_samples=400, num_modes=5)
+_MIDDLE = ModesConfig(steps=(0.015, 0.01, 0.007, 0.005, 0.004), num_points=250, num_samples=1000)
+_THOROUGH = ModesConfig(steps=(0.004, 0.003, 0.003))
 
 HYPOTHESES = ("upright", "upside_down", "lying")
 

@@ -38,11 +38,12 @@ class Silhouette:
     certain: bool
     offset_px: np.ndarray
 
-    def pixels(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Column and row (n, 2) px at which points (n, 3) m, world, are seen, and their depth (n,) m."""
-        camera = apply_T(self.T_camera_world, points)
-        z = np.maximum(camera[:, 2], 1e-6)
-        return camera[:, :2] / z[:, None] * self.K[[0, 1], [0, 1]] + self.K[:2, 2], z
+    def pixels(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Column (n,) and row (n,) px at which points (n, 3) m, world, are seen, and their depth (n,) m."""
+        matrix = self.K @ self.T_camera_world[:3]
+        column, row, z = matrix[:, :3] @ points.T + matrix[:, 3:]
+        z = np.maximum(z, 1e-6)
+        return column / z, row / z, z
 
     def trespass(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Points that lie where the view says there is nothing, and the way back.
@@ -54,13 +55,13 @@ class Silhouette:
             Index (t,) of the trespassing points and the displacement (t, 3) m, world, that brings each onto the ray
             of the nearest pixel of the object at the same depth.
         """
-        pixels, z = self.pixels(points)
-        column, row = np.rint(pixels).astype(np.int64).T
+        column, row, z = self.pixels(points)
         height, width = self.free_depth_m.shape
+        column, row = np.rint(column), np.rint(row)
         inside = np.flatnonzero((row >= 0) & (row < height) & (column >= 0) & (column < width))
-        row, column = row[inside], column[inside]
-        out = z[inside] + _FREE_MARGIN_M < self.free_depth_m[row, column]
-        offset = self.offset_px[:, row[out], column[out]]
+        pixel = (row[inside] * width + column[inside]).astype(np.int64)
+        out = z[inside] + _FREE_MARGIN_M < self.free_depth_m.ravel()[pixel]
+        offset = self.offset_px.reshape(2, -1)[:, pixel[out]]
         moved = offset.any(axis=0)
         index = inside[out][moved]
         offset = offset[:, moved]

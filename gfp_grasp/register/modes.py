@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gfp_grasp.register.evidence import Evidence
-from gfp_grasp.register.posterior import ShapeModel, linearise, seen_empty, shape_model
+from gfp_grasp.register.posterior import ShapeModel, costs, linearise, seen_empty, shape_model
 from gfp_grasp.register.state import ModesConfig, PoseShape, StateBatch
 from gfp_grasp.types import GenericPrimitive
 
@@ -39,9 +39,8 @@ def refine(
     model = shape_model(primitive, config.num_samples, config.num_modes)
     batch, evidence = StateBatch.of(states, model.num_modes), evidence.few(config.num_points)
     for robust_m in config.steps:
-        batch = _stepped(batch, model, *linearise(batch, model, evidence, config, robust_m)[:2], config)
-    _, _, cost, residual_m = linearise(batch, model, evidence, config, config.steps[-1])
-    return batch.split(states, cost, residual_m)
+        batch = _stepped(batch, model, *linearise(batch, model, evidence, config, robust_m), config)
+    return batch.split(states, *costs(batch, model, evidence, config, config.steps[-1]))
 
 
 def judge(
@@ -50,8 +49,8 @@ def judge(
     """States as they are, with their cost and residual."""
     model = shape_model(primitive, config.num_samples, config.num_modes)
     batch = StateBatch.of(states, model.num_modes)
-    _, _, cost, residual_m = linearise(batch, model, evidence.few(config.num_points), config, config.steps[-1])
-    return batch.split(states, cost, residual_m)
+    evidence = evidence.few(config.num_points)
+    return batch.split(states, *costs(batch, model, evidence, config, config.steps[-1]))
 
 
 def free_space_cost(state: PoseShape, primitive: GenericPrimitive, evidence: Evidence, config: ModesConfig) -> float:

@@ -39,7 +39,8 @@ def cut_off(evidence: Evidence, *, straight: bool = True) -> Evidence:
     assert evidence.viewpoint is not None
     sight = evidence.viewpoint - evidence.points
     facing = np.einsum("ni,ni->n", evidence.normals, sight) / np.linalg.norm(sight, axis=1) > _FACING_COSINE
-    seen = silhouette.pixels(evidence.points)[0][:, ::-1]  # row, column
+    column, row, _ = silhouette.pixels(evidence.points)
+    seen = np.column_stack([row, column])
     outline = _outline(silhouette)
     line = _straight_edge(outline, facing[KDTree(seen).query(outline)[1]]) if straight else None
     free = np.argwhere(silhouette.free_depth_m > 0)
@@ -54,8 +55,8 @@ def cut_off(evidence: Evidence, *, straight: bool = True) -> Evidence:
     answer = replace(evidence, silhouette=replace(silhouette, free_depth_m=depth))
     if line is None:
         return answer
-    (row, column), offset = line
-    cut = np.array([column, row, -offset]) @ silhouette.K @ silhouette.T_camera_world[:3, :3]
+    (down, right), offset = line
+    cut = np.array([right, down, -offset]) @ silhouette.K @ silhouette.T_camera_world[:3, :3]
     cut /= np.linalg.norm(cut)
     hides_foot = not evidence.floor_seen and _foot_is_on(line, seen, evidence)
     above, below = evidence.floor_sigma_m

@@ -38,8 +38,8 @@ class ShapeModel:
         mean: (m, 3) m, samples of the surface.
         flat_modes: (k, m * 3).
         point_modes: (m, k, 3).
-        corner_vertices: (m * 9,) corners of the face of each sample.
-        corner_modes: (k, m * 9).
+        edges: (m * 6,) m, two edges of the face of each sample.
+        edge_modes: (k, m * 6).
         scale_precision: (3, 3) of log scale.
         scale_sigma: (3,).
         ovality: As `ovality_gram` returns it.
@@ -49,8 +49,8 @@ class ShapeModel:
     mean: np.ndarray
     flat_modes: np.ndarray
     point_modes: np.ndarray
-    corner_vertices: np.ndarray
-    corner_modes: np.ndarray
+    edges: np.ndarray
+    edge_modes: np.ndarray
     scale_precision: np.ndarray
     scale_sigma: np.ndarray
     ovality: np.ndarray
@@ -74,8 +74,8 @@ def shape_model(primitive: GenericPrimitive, num_samples: int, num_modes: int) -
         samples.mean,
         samples.modes.reshape(len(samples.modes), -1),
         np.ascontiguousarray(samples.modes.transpose(1, 0, 2)),
-        primitive.vertices[corners].ravel(),
-        primitive.modes[:, corners].reshape(len(primitive.modes), -1),
+        (primitive.vertices[corners[:, 1:]] - primitive.vertices[corners[:, :1]]).ravel(),
+        (primitive.modes[:, corners[:, 1:]] - primitive.modes[:, corners[:, :1]]).reshape(len(primitive.modes), -1),
         np.linalg.inv(covariance),
         np.sqrt(np.diag(covariance)),
         ovality_gram(primitive),
@@ -84,10 +84,24 @@ def shape_model(primitive: GenericPrimitive, num_samples: int, num_modes: int) -
 
 def linearise(
     batch: StateBatch, model: ShapeModel, evidence: Evidence, config: ModesConfig, robust_m: float
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-    """Normal matrices (s, 9 + k, 9 + k), gradients (s, 9 + k) of the step, costs (s,) and residuals (s,) m."""
-    surface = _Surface(batch, model)
-    sums = _Sums(surface)
+) -> tuple[np.ndarray, np.ndarray]:
+    """Normal matrices (s, 9 + k, 9 + k) and gradients (s, 9 + k) of the step."""
+    sums = _Sums(_Surface(batch, model))
+    _summed(sums, evidence, config, robust_m)
+    return sums.H, sums.g
+
+
+def costs(
+    batch: StateBatch, model: ShapeModel, evidence: Evidence, config: ModesConfig, robust_m: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Costs (s,) and residuals (s,) m: less work than a step's."""
+    sums = _Sums(_Surface(batch, model), cost_only=True)
+    residual_m = _summed(sums, evidence, config, robust_m)
+    return sums.cost, residual_m
+
+
+def _summed(sums: _Sums, evidence: Evidence, config: ModesConfig, robust_m: float) -> np.ndarray:
+    """All terms added up; returns the residual (s,) m."""
     residual_m = _observed(sums, evidence, config, robust_m)
     if config.free_space and evidence.silhouette is not None:
         _seen_empty(sums, evidence, config, robust_m)
@@ -97,14 +111,14 @@ def linearise(
     _as_the_class(sums, config)
     if config.oval_m is not None:
         _not_oval(sums, config.oval_m)
-    return sums.H, sums.g, sums.cost, residual_m
+    return residual_m
 
 
 def seen_empty(
     batch: StateBatch, model: ShapeModel, evidence: Evidence, config: ModesConfig, robust_m: float
 ) -> np.ndarray:
     """The term of free space alone in the costs (s,)."""
-    sums = _Sums(_Surface(batch, model))
+    sums = _Sums(_Surface(batch, model), cost_only=True)
     if evidence.silhouette is not None:
         _seen_empty(sums, evidence, config, robust_m)
     return sums.cost
@@ -119,22 +133,27 @@ class _Surface:
         s = len(batch.R)
         self.local = model.mean + (batch.coefficients @ model.flat_modes).reshape(s, -1, 3)
         self.world = self.local @ self.linear.transpose(0, 2, 1) + batch.t[:, None]
-        corners = (model.corner_vertices + batch.coefficients @ model.corner_modes).reshape(s, -1, 3, 3)
-        a, b = ((corners[:, :, i] - corners[:, :, 0]) @ self.linear.transpose(0, 2, 1) for i in (1, 2))
-        normals = _cross(a, b)
-        self.normals = normals / (np.linalg.norm(normals, axis=2, keepdims=True) + 1e-18)
+        edges = (model.edges + batch.coefficients @ model.edge_modes).reshape(s, -1, 2, 3)
+        # Normals go as the inverse transposed of what moves the surface.
+        normals = _cross(edges[:, :, 0], edges[:, :, 1]) @ np.linalg.inv(self.linear)
+        self.normals = normals / (np.sqrt(np.einsum("smi,smi->sm", normals, normals))[..., None] + 1e-18)
 
 
 class _Sums:
-    """Normal equations and cost, summed over the terms."""
+    """Normal equations and cost, summed over the terms.
 
-    def __init__(self, surface: _Surface) -> None:
+    With cost_only, samples and points that should move add nothing: only the cost is true.
+    """
+
+    def __init__(self, surface: _Surface, *, cost_only: bool = False) -> None:
         s, k = surface.batch.coefficients.shape
-        self.surface = surface
+        self.surface, self.cost_only = surface, cost_only
         self.H, self.g, self.cost = np.zeros((s, 9 + k, 9 + k)), np.zeros((s, 9 + k)), np.zeros(s)
 
     def add_samples(self, state: np.ndarray, index: np.ndarray, gap: np.ndarray, weight: np.ndarray) -> None:
         """Samples index (n,) of states (n,), ascending, should move by gap (n, 3) m along its direction, by weight."""
+        if self.cost_only:
+            return
         length = np.linalg.norm(gap, axis=1)
         direction = gap / np.maximum(length, 1e-12)[:, None]
         J = np.einsum("nip,ni->np", self._derivative(state, index[:, None])[:, 0], direction)
@@ -152,6 +171,8 @@ class _Sums:
 
         Along unit normals (s, n, 3) in full, across them by the share tangential.
         """
+        if self.cost_only:
+            return
         D = self._derivative(np.arange(len(index)), index)
         # The root of the precision w (n n^T + t I) is w^1/2 (t^1/2 I + ((1 + t)^1/2 - t^1/2) n n^T).
         little, more = np.sqrt(tangential), np.sqrt(1.0 + tangential) - np.sqrt(tangential)
@@ -290,21 +311,25 @@ def _correspond(surface: _Surface, evidence: Evidence) -> tuple[np.ndarray, np.n
     # Near the origin float32 tells samples apart that lie micrometres from each other.
     origin = evidence.points.mean(axis=0)
     features = np.concatenate([surface.world - origin, _NORMAL_LENGTH_M * surface.normals], axis=2, dtype=np.float32)
-    # The largest dot product less half the square is the nearest; a sample that faces away is at no distance. For a
-    # tree that is asked once these are too few points.
-    half = np.where(facing, 0.5 * np.einsum("smi,smi->sm", features, features), np.float32(np.inf))
+    # The largest dot product less half the square is the nearest. For a tree that is asked once these are too few.
+    half = 0.5 * np.einsum("smi,smi->sm", features, features)
     asked, turned_over = (
         np.hstack([evidence.points - origin, sign * _NORMAL_LENGTH_M * evidence.normals], dtype=np.float32)
         for sign in (1.0, -1.0)
     )
-    for i, own in enumerate(features):
-        index[i], nearness = _nearest(asked, own, half[i])
+    for i, faces in enumerate(facing):
+        seen = np.flatnonzero(faces)
+        if len(seen) == 0:
+            continue
+        own, own_half = features[i, seen], half[i, seen]
+        nearest, nearness = _nearest(asked, own, own_half)
         if not evidence.oriented:
-            other, other_nearness = _nearest(turned_over, own, half[i])
-            index[i] = np.where(other_nearness > nearness, other, index[i])
+            other, other_nearness = _nearest(turned_over, own, own_half)
+            nearest = np.where(other_nearness > nearness, other, nearest)
+        index[i] = seen[nearest]
         cosine = np.einsum("ni,ni->n", evidence.normals, surface.normals[i, index[i]])
         agrees[i] = (cosine if evidence.oriented else np.abs(cosine)) > _MIN_NORMAL_COSINE
-    return index, agrees & np.any(facing, axis=1, keepdims=True)
+    return index, agrees
 
 
 def _nearest(asked: np.ndarray, features: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

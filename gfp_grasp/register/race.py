@@ -110,9 +110,12 @@ def _raced(race: Race, evidence: Evidence, config: FitConfig) -> Race:
         go_on = _leaders(states, max(config.keep, round(config.survivors * len(states))))
         quick = replace(config.quick, steps=tail)
         states = sorted(refine(go_on, race.primitive, evidence, quick), key=total_cost)
-    leaders = _leaders(states, config.keep)
-    blocking = [blocking_cost(state, race.primitive, evidence, config.thorough) for state in leaders]
-    leaders = [replace(state, cost=state.cost + more) for state, more in zip(leaders, blocking, strict=True)]
+    leaders, limit = [], np.inf
+    for state in sorted(_leaders(states, config.keep), key=total_cost):
+        if total_cost(state) <= limit:  # the others are given up whatever they hide
+            state = replace(state, cost=state.cost + blocking_cost(state, race.primitive, evidence, config.thorough))
+            limit = min(limit, total_cost(state) + _HOPELESS)
+        leaders.append(state)
     return replace(race, states=sorted(leaders, key=total_cost))
 
 
