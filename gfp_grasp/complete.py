@@ -13,6 +13,7 @@ import trimesh
 from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
+from gfp_grasp.collision import CollisionConfig
 from gfp_grasp.completion import Completion
 from gfp_grasp.deform import DeformConfig, deform
 from gfp_grasp.detect import clean_cloud, detect_objects, detect_single, numbers_of
@@ -61,6 +62,7 @@ class CompleteConfig:
             decides.
         kinds: Of each such class its kinds are fitted as well, as cups with stems are.
         handle_rule: "seen": a handle that no point supports is left out; "always": it is kept where the class has one.
+        collision: Budget of the convex parts, which are made at first access.
     """
 
     fit: FitConfig = field(default_factory=FitConfig)
@@ -68,6 +70,7 @@ class CompleteConfig:
     rival_share: float = 0.05
     kinds: bool = True
     handle_rule: str = "seen"
+    collision: CollisionConfig = field(default_factory=CollisionConfig)
 
     def __post_init__(self) -> None:
         if not 0 < self.rival_share <= 1:
@@ -243,7 +246,7 @@ def _complete(detection: Detection, config: CompleteConfig, seed: int) -> Comple
         fit=replace(fit, T_world_object=T_world_here @ fit.T_world_object),
         timings_s=clock.laps,
     )
-    return Completion(shape, detection)
+    return Completion(shape, detection, config.collision)
 
 
 def _best_fit(detection: Detection, config: CompleteConfig) -> FittedPrimitive:

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 import trimesh
 
+from gfp_grasp.collision import CollisionConfig
 from gfp_grasp.types import CollisionMesh, CompletedShape, Detection, FittedPrimitive
 
 
@@ -20,10 +21,12 @@ class Completion:
     Attributes:
         shape: The completed surface, what of it was seen, and how sure the rest is.
         detection: The observation.
+        collision_config: Budget of its collision parts.
     """
 
     shape: CompletedShape
     detection: Detection
+    collision_config: CollisionConfig = field(default_factory=CollisionConfig)
 
     @property
     def mesh(self) -> trimesh.Trimesh:
@@ -73,9 +76,13 @@ class Completion:
     @cached_property
     def collision(self) -> CollisionMesh:
         """Convex parts with their figures, made at first access."""
+        return self.collide(self.collision_config)
+
+    def collide(self, config: CollisionConfig) -> CollisionMesh:
+        """Convex parts within another budget than the completion's own."""
         from gfp_grasp.collision import collision_of
 
-        return collision_of(self.shape)
+        return collision_of(self.shape, config=config)
 
     @property
     def parts(self) -> tuple[trimesh.Trimesh, ...]:

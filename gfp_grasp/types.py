@@ -214,7 +214,10 @@ class GenericPrimitive:
         symmetry: Rotation axis, order and mirror plane.
         up: (3,) upright axis, (0, 0, 1).
         regions: (v,) uint8, OUTSIDE, INSIDE or HANDLE.
-        parts: Convex parts of the mean mesh, in the same frame.
+        parts: Convex parts of the mean mesh, in the same frame, p at the finest level.
+        part_merges: (p - 1, 2) which of them become one first, see `collision.merging`; empty where that is not stored.
+        part_errors_m: (p, 2) m, mean and 95 % distance between the mean mesh and its parts where 1 .. p are left; or
+            empty.
         twin: For a primitive with a handle, the same body without it; its vertices are the first `twin_map`.
         twin_map: (v_twin,) index of each of the twin's vertices in `vertices`, or None.
         licence: Of the meshes it was built from.
@@ -237,6 +240,8 @@ class GenericPrimitive:
     licence: str = ""
     card: Mapping[str, object] = field(default_factory=dict)
     kind: str = ""
+    part_merges: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
+    part_errors_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
 
     def __post_init__(self) -> None:
         vertices = np.asarray(self.vertices, dtype=np.float64)
@@ -253,6 +258,8 @@ class GenericPrimitive:
         _freeze(self, "coefficient_samples", np.asarray(self.coefficient_samples, dtype=np.float64))
         _freeze(self, "up", _vector(self.up, 3, "up", InvalidMesh))
         _freeze(self, "regions", np.asarray(self.regions, dtype=np.uint8))
+        _freeze(self, "part_merges", np.asarray(self.part_merges, dtype=np.int64))
+        _freeze(self, "part_errors_m", np.asarray(self.part_errors_m, dtype=np.float64))
         if self.twin_map is not None:
             _freeze(self, "twin_map", np.asarray(self.twin_map, dtype=np.int64))
 

@@ -191,3 +191,50 @@ def _figures(row: Mapping) -> tuple[str, ...]:
 
     errors = (text("cd_m", ".2f", 1000), text("f_score", ".3f"), text("iou", ".3f"), text("scale_error_median", ".1%"))
     return (*errors, text("ms", ".0f"), str(row["views"]), str(row["failed"]))
+
+
+@bench.command()
+def collision(
+    objects: Objects = "cup,mug,bottle",
+    methods: Annotated[str, typer.Option(help="Names with commas between; or all.")] = "all",
+    limit: Limit = 4,
+    truth: Annotated[bool, typer.Option("--truth", help="Decompose the true meshes as well.")] = False,
+    workers: Workers = 1,
+    json_file: JsonFile = None,
+    seed: Seed = 0,
+) -> None:
+    """Convex parts: time, truth and speed in MuJoCo, carried ones beside those of CoACD and V-HACD."""
+    from gfp_grasp.bench.collision import METHODS, bench_collision
+
+    chosen = METHODS if methods == "all" else tuple(methods.split(","))
+    report = bench_collision(
+        objects, methods=chosen, limit=limit, truth=truth, seed=seed, workers=workers, progress=track("objects")
+    )
+    rows = report["rows"]
+    assert isinstance(rows, Mapping)
+    for mesh, classes in rows.items():
+        for category, figures in classes.items():
+            table(
+                ("method", "ms", "parts", "vertices", "off, mm", "for 95 %", "IoU", "steps/s", "objects", "failed"),
+                [(name, *_part_figures(row)) for name, row in figures.items()],
+                title=f"{category}, {mesh} meshes",
+            )
+    save_json(json_file, report)
+
+
+def _part_figures(row: Mapping) -> tuple[str, ...]:
+    counts = (str(row["objects"]), str(row["failed"]))
+    if "ms" not in row:
+        return ("-",) * 7 + counts
+    steps = "-" if row["steps_per_s"] is None else f"{row['steps_per_s']:.0f}"
+    mean, high = (f"{error:.2f}" for error in row["error_mm"])
+    return (
+        f"{row['ms']:.1f}",
+        f"{row['parts']:.0f}",
+        f"{row['vertices']:.0f}",
+        mean,
+        high,
+        f"{row['iou']:.3f}",
+        steps,
+        *counts,
+    )

@@ -7,20 +7,23 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from gfp_grasp.collision.budget import CollisionConfig
     from gfp_grasp.collision.carry import carry_parts
     from gfp_grasp.collision.choice import collision_of
     from gfp_grasp.collision.config import DecomposeConfig
-    from gfp_grasp.collision.decomposition import decompose, decompose_fine, hull
+    from gfp_grasp.collision.decomposition import decompose, hull
+    from gfp_grasp.collision.levels import part_levels
 
-__all__ = ["DecomposeConfig", "carry_parts", "collision_of", "decompose", "decompose_fine", "hull"]
+__all__ = ["CollisionConfig", "DecomposeConfig", "carry_parts", "collision_of", "decompose", "hull", "part_levels"]
 
 _HOMES = {
+    "CollisionConfig": "budget",
     "DecomposeConfig": "config",
     "carry_parts": "carry",
     "collision_of": "choice",
     "decompose": "decomposition",
-    "decompose_fine": "decomposition",
     "hull": "decomposition",
+    "part_levels": "levels",
 }
 
 

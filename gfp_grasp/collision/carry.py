@@ -8,6 +8,7 @@ neighbours. Vertices of the template within a part are carried with it: where th
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import lru_cache
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -15,6 +16,7 @@ import trimesh
 from scipy.sparse import csr_matrix
 
 from gfp_grasp.collision.convex import convex_parts, within_parts
+from gfp_grasp.collision.merging import groups_of, merge_tree
 from gfp_grasp.errors import InvalidMesh
 from gfp_grasp.types import ConvexPart, GenericPrimitive
 
@@ -40,17 +42,32 @@ class _Binding:
     edge_m: np.ndarray
     ends: np.ndarray
 
+    def moved(self, vertices: np.ndarray) -> list[np.ndarray]:
+        """Where the points of each part (n, 3) m have gone with the vertices (v, 3) m."""
+        normals, edge = _frames(vertices[self.corners])
+        # What floats above the surface scales with the triangle below it.
+        height = self.height_m * edge / np.maximum(self.edge_m, 1e-12)
+        return np.split(self.weights @ vertices + normals * height[:, None], self.ends[:-1])
+
 
 _bindings: WeakKeyDictionary[GenericPrimitive, _Binding] = WeakKeyDictionary()
 
 
-def carry_parts(primitive: GenericPrimitive, deformed_local: np.ndarray) -> tuple[ConvexPart, ...]:
+def carry_parts(
+    primitive: GenericPrimitive,
+    deformed_local: np.ndarray,
+    *,
+    count: int | None = None,
+    max_vertices: int | None = None,
+) -> tuple[ConvexPart, ...]:
     """Convex parts of a deformed primitive.
 
     Args:
         primitive: With parts; its handle-less twin stands in where the vertices are the twin's.
         deformed_local: (v, 3) m, where its vertices (or its twin's) have gone. Any frame will do, the world's too: the
             parts come in the same.
+        count: So many of the primitive's parts are left, the others merged with their neighbours; None for all.
+        max_vertices: Most vertices a part; None for no limit.
 
     Returns:
         The parts that MuJoCo compiles, in the primitive's order.
@@ -64,14 +81,28 @@ def carry_parts(primitive: GenericPrimitive, deformed_local: np.ndarray) -> tupl
     vertices = np.asarray(deformed_local, dtype=np.float64)
     if vertices.shape != primitive.vertices.shape or not np.isfinite(vertices).all():
         raise InvalidMesh(f"deformed vertices of shape {vertices.shape} are not finite (v, 3)")
-    binding = _bindings.get(primitive)
-    if binding is None:
-        binding = _bindings[primitive] = _bind(primitive)
-    points = _moved(binding, vertices)
-    parts, dropped = convex_parts(np.split(points, binding.ends[:-1]))
+    clouds = _binding(primitive).moved(vertices)
+    if count is not None and count < len(clouds):
+        clouds = [np.concatenate([clouds[i] for i in group]) for group in _groups(primitive, count)]
+    parts, dropped = convex_parts(clouds, max_vertices=max_vertices)
     if not parts:
         raise InvalidMesh(f"all {dropped} carried parts are flat: the deformation has flattened the primitive")
     return parts
+
+
+def _binding(primitive: GenericPrimitive) -> _Binding:
+    found = _bindings.get(primitive)
+    if found is None:
+        found = _bindings[primitive] = _bind(primitive)
+    return found
+
+
+@lru_cache(maxsize=64)
+def _groups(primitive: GenericPrimitive, count: int) -> list[list[int]]:
+    merges = primitive.part_merges
+    if len(merges) != len(primitive.parts) - 1:
+        merges = merge_tree(primitive.parts)
+    return groups_of(merges, len(primitive.parts), count)
 
 
 def bearer(primitive: GenericPrimitive, num_vertices: int) -> GenericPrimitive:
@@ -122,13 +153,6 @@ def _barycentric(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
     nearest = np.linalg.norm(triangles - points[:, None], axis=2).argmin(axis=1)
     weights[needle] = np.eye(3)[nearest[needle]]
     return weights / weights.sum(axis=1, keepdims=True)
-
-
-def _moved(binding: _Binding, vertices: np.ndarray) -> np.ndarray:
-    points = binding.weights @ vertices
-    normals, edge = _frames(vertices[binding.corners])
-    # What floats above the surface scales with the triangle below it.
-    return points + normals * (binding.height_m * edge / np.maximum(binding.edge_m, 1e-12))[:, None]
 
 
 def _frames(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

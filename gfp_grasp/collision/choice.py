@@ -5,80 +5,167 @@ from __future__ import annotations
 import time
 import warnings
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
+import trimesh
 
+from gfp_grasp.collision.budget import CollisionConfig
 from gfp_grasp.collision.carry import bearer, carry_parts
-from gfp_grasp.collision.convex import volume_m3
+from gfp_grasp.collision.cavity import ball_radii_m, held_by, widest_gap
+from gfp_grasp.collision.config import DecomposeConfig
+from gfp_grasp.collision.convex import Halfspaces, convex_part, volume_m3
 from gfp_grasp.collision.decomposition import decompose, hull
-from gfp_grasp.collision.fidelity import union_error_m
+from gfp_grasp.collision.fidelity import union_error_m, volume_ratios
 from gfp_grasp.errors import DecompositionFailed, InvalidMesh
-from gfp_grasp.types import CollisionMesh, CompletedShape
+from gfp_grasp.types import CollisionMesh, CompletedShape, GenericPrimitive
 
 # Mean error of carried parts over the diagonal, beyond which CoACD is worth its time. A mug's parts carried through a
 # bulge of a fifth of its radius stay below 0.01.
 _CARRIED_LIMIT = 0.01
+# And the share of the ball that fits into the mesh which must fit between the parts.
+_CAVITY_LEFT = 0.8
 # The hull of a convex mesh adds nothing but rounding to its volume.
 _CONVEX_EXCESS = 1e-3
+# Parts that bring the template's surface nearer by less than this on average are not worth their time.
+_NEXT_TO_NOTHING_M = 2e-5
+_SAMPLES = 300
 
 
-def collision_of(shape: CompletedShape) -> CollisionMesh:
-    """Convex parts of a completed shape.
+def collision_of(shape: CompletedShape, *, config: CollisionConfig = CollisionConfig()) -> CollisionMesh:
+    """Convex parts of a completed shape, within a budget.
 
     The parts of the primitive it was fitted with are carried along where the mesh has the primitive's (or its twin's)
-    vertices and the result is within 1 % of the diagonal on average; a convex mesh is its own hull; else CoACD runs.
+    vertices; a convex mesh is its own hull; else CoACD runs. It runs too where carried parts miss their bound: the
+    config's tolerance or else 1 % of the diagonal on average, and four fifths of the ball that fits into a hollow
+    thing. Of two that miss it the better one is given, with a warning.
 
     Args:
         shape: Its mesh in any frame; the parts come in the same.
+        config: Budget.
+
+    Returns:
+        The parts with their two-sided error. `notes` of carried ones: level (of the primitive's tree of merges),
+        carrying_s, dropped (slivers), volume_ratio and union_volume_ratio (of the parts over the mesh's, overlaps
+        counted as often as they are, or once), ball_m and ball_left_m (radius of a ball that fits into the mesh, and
+        of that which fits between the parts at the same place), where there is room for one.
 
     Raises:
         InvalidMesh: The mesh is flat or too small for MuJoCo.
         DecompositionFailed: CoACD had to run, and was lost in every attempt.
     """
-    carried = _carried(shape)
+    carried = _carried(shape, config)
     if carried is not None:
-        diagonal = float(np.linalg.norm(np.ptp(shape.mesh.vertices, axis=0)))
-        if carried.error_m[0] <= _CARRIED_LIMIT * diagonal:
-            return carried
-        return _decomposed_or(carried, shape)
-    whole = hull(shape.mesh)
-    if shape.mesh.is_volume and whole.notes["volume_ratio"] <= 1 + _CONVEX_EXCESS:  # type: ignore[operator]
-        return whole
-    return decompose(shape.mesh)
+        return carried if _is_true(carried, shape, config) else _decomposed_or(carried, shape, config)
+    if _is_convex(shape.mesh):
+        return hull(shape.mesh, max_vertices=config.max_vertices_per_part)
+    return decompose(shape.mesh, config=_as_coacd(config))
 
 
-def _carried(shape: CompletedShape) -> CollisionMesh | None:
+def _is_convex(mesh: trimesh.Trimesh) -> bool:
+    whole = convex_part(np.asarray(mesh.vertices)) if mesh.is_volume else None
+    return whole is not None and volume_m3(whole) <= (1 + _CONVEX_EXCESS) * mesh.volume
+
+
+def _carried(shape: CompletedShape, config: CollisionConfig) -> CollisionMesh | None:
     """None where there is no primitive with parts whose vertices these could be."""
     if shape.fit is None:
         return None
-    started = time.monotonic()
     vertices = np.asarray(shape.mesh.vertices)
     try:
         primitive = bearer(shape.fit.primitive, len(vertices))
-        if not primitive.parts:
-            return None
-        parts = carry_parts(primitive, vertices)
-    except InvalidMesh:  # of another connectivity, or flattened: CoACD will say more
+    except InvalidMesh:  # of another connectivity: CoACD will say more
         return None
+    if not primitive.parts:
+        return None
+    started = time.monotonic()
+    found = None
+    for level in _levels(primitive, vertices, config):
+        try:
+            found = _measured(primitive, shape.mesh, level, config)
+        except InvalidMesh:  # flattened
+            return None
+        if config.tolerance_m is None or found.error_m[1] <= config.tolerance_m:
+            break
+    assert found is not None
+    return replace(found, seconds=time.monotonic() - started)
+
+
+def _levels(primitive: GenericPrimitive, vertices: np.ndarray, config: CollisionConfig) -> list[int]:
+    """Numbers of parts to try, fewest first."""
+    most = min(config.max_parts, len(primitive.parts))
+    errors_m = primitive.part_errors_m
+    if len(errors_m) != len(primitive.parts):
+        return [most]
+    if config.tolerance_m is None:
+        return [1 + int(np.argmax(errors_m[:most, 0] <= errors_m[most - 1, 0] + _NEXT_TO_NOTHING_M))]
+    # What is larger than the template is off by more.
+    growth = float(np.linalg.norm(np.ptp(vertices, axis=0)) / np.linalg.norm(np.ptp(primitive.vertices, axis=0)))
+    enough = np.flatnonzero(errors_m[:most, 1] * growth <= config.tolerance_m)
+    tried = [1 + int(enough[0])] if len(enough) else [most]
+    while tried[-1] < most:
+        tried.append(min(most, tried[-1] + max(1, tried[-1] // 2)))
+    return tried
+
+
+def _measured(primitive: GenericPrimitive, mesh: trimesh.Trimesh, level: int, config: CollisionConfig) -> CollisionMesh:
+    started = time.monotonic()
+    parts = carry_parts(primitive, mesh.vertices, count=level, max_vertices=config.max_vertices_per_part)
     carrying_s = time.monotonic() - started
-    error = union_error_m(parts, shape.mesh, count=1000, rng=np.random.default_rng(0))
-    notes = {
+    rng = np.random.default_rng(0)
+    planes = Halfspaces.of(parts)
+    ratio, union_ratio = volume_ratios(parts, mesh, count=_SAMPLES, rng=rng, planes=planes)
+    notes: dict[str, object] = {
+        "level": level,
         "carrying_s": carrying_s,
-        "dropped": len(primitive.parts) - len(parts),
-        "volume_ratio": float(sum(map(volume_m3, parts)) / shape.mesh.volume),
+        "dropped": level - len(parts),
+        "volume_ratio": ratio,
+        "union_volume_ratio": union_ratio,
     }
+    gap = _gap_of(primitive)
+    if gap is not None:
+        holders, weights = gap
+        notes["ball_m"], notes["ball_left_m"] = ball_radii_m(weights @ mesh.vertices[holders], mesh, parts, planes)
+    error = union_error_m(parts, mesh, count=_SAMPLES, rng=rng, planes=planes)
     return CollisionMesh(parts, error, "carried", time.monotonic() - started, notes)
 
 
-def _decomposed_or(carried: CollisionMesh, shape: CompletedShape) -> CollisionMesh:
+@lru_cache(maxsize=64)
+def _gap_of(primitive: GenericPrimitive) -> tuple[np.ndarray, np.ndarray] | None:
+    """Vertices and weights that hold the centre of the largest ball in a primitive; None where there is none."""
+    centre = widest_gap(trimesh.Trimesh(primitive.vertices, primitive.faces, process=False))
+    return None if centre is None else held_by(centre, primitive.vertices)
+
+
+def _is_true(found: CollisionMesh, shape: CompletedShape, config: CollisionConfig) -> bool:
+    if "ball_m" in found.notes and found.notes["ball_left_m"] < _CAVITY_LEFT * found.notes["ball_m"]:  # type: ignore[operator]
+        return False
+    if config.tolerance_m is not None:
+        return found.error_m[1] <= config.tolerance_m
+    return found.error_m[0] <= _CARRIED_LIMIT * float(np.linalg.norm(np.ptp(shape.mesh.vertices, axis=0)))
+
+
+def _decomposed_or(carried: CollisionMesh, shape: CompletedShape, config: CollisionConfig) -> CollisionMesh:
     """CoACD's parts where they are closer to the mesh than the carried ones."""
-    said = f"carried parts miss the mesh by {1e3 * carried.error_m[0]:.1f} mm on average"
+    mean, high = (f"{1e3 * error:.1f} mm" for error in carried.error_m[:2])
+    said = f"carried parts miss the mesh by {mean} on average, {high} for 95 %"
     try:
-        fresh = decompose(shape.mesh)
+        fresh = decompose(shape.mesh, config=_as_coacd(config))
     except DecompositionFailed as error:
         warnings.warn(f"{said}, and are kept as CoACD failed: {error}", RuntimeWarning, stacklevel=3)
         return replace(carried, notes={**carried.notes, "warning": said})
-    if fresh.error_m[0] < carried.error_m[0]:
-        return replace(fresh, notes={**fresh.notes, "carried_error_m": carried.error_m})
-    warnings.warn(f"{said}, and are kept as CoACD's miss it by more", RuntimeWarning, stacklevel=3)
-    return replace(carried, notes={**carried.notes, "warning": said})
+    if fresh.error_m[0] >= carried.error_m[0]:
+        warnings.warn(f"{said}, and are kept as CoACD's miss it by more", RuntimeWarning, stacklevel=3)
+        return replace(carried, notes={**carried.notes, "warning": said})
+    fresh = replace(fresh, notes={**fresh.notes, "carried_error_m": carried.error_m})
+    if not _is_true(fresh, shape, config):
+        said += f"; CoACD's {len(fresh.parts)} parts by {1e3 * fresh.error_m[0]:.1f}, {1e3 * fresh.error_m[1]:.1f} mm"
+        warnings.warn(f"{said}: more parts, or a larger tolerance, are needed", RuntimeWarning, stacklevel=3)
+        fresh = replace(fresh, notes={**fresh.notes, "warning": said})
+    return fresh
+
+
+def _as_coacd(config: CollisionConfig) -> DecomposeConfig:
+    most = config.max_vertices_per_part
+    limits = {} if most is None else {"decimate": True, "max_ch_vertex": most}
+    return DecomposeConfig(max_convex_hull=config.max_parts, **limits)

@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
+from gfp_grasp.collision.budget import fewer_corners
 from gfp_grasp.types import ConvexPart
 
 # MuJoCo 3.17 refuses a mesh below 1e-15 m3 and a body whose inertia is below 1e-15 kg m2. A crumb of 0.5 mm passes both
@@ -15,14 +17,20 @@ MIN_VOLUME_M3 = 1e-10
 MIN_THICKNESS_M = 1e-4
 
 
-def convex_part(points: np.ndarray) -> ConvexPart | None:
-    """Convex hull of (n, 3) points in m, outward; None where it is too flat or small for MuJoCo."""
+def convex_part(points: np.ndarray, *, max_vertices: int | None = None) -> ConvexPart | None:
+    """Convex hull of (n, 3) points in m, outward; None where it is too flat or small for MuJoCo.
+
+    With max_vertices, at least 4, the hull of so many of its corners.
+    """
     if len(points) < 4:
         return None
     centre = points.mean(0)
     local = points - centre
     try:
         hull = ConvexHull(local)
+        if max_vertices is not None and len(hull.vertices) > max_vertices:
+            local = fewer_corners(local[hull.vertices], max_vertices)
+            hull = ConvexHull(local)
     except QhullError:  # fewer than four points that are not in one plane
         return None
     corners = local[hull.vertices]
@@ -30,14 +38,57 @@ def convex_part(points: np.ndarray) -> ConvexPart | None:
     thickness = -depths.min(0).max(initial=-np.inf)
     if hull.volume < MIN_VOLUME_M3 or thickness < MIN_THICKNESS_M:
         return None
-    return ConvexPart(points[hull.vertices], _outward(local, hull))
+    return ConvexPart(corners + centre, _outward(local, hull))
 
 
-def convex_parts(clouds: Iterable[np.ndarray]) -> tuple[tuple[ConvexPart, ...], int]:
+def convex_parts(
+    clouds: Iterable[np.ndarray], *, max_vertices: int | None = None
+) -> tuple[tuple[ConvexPart, ...], int]:
     """Hulls of many point sets, and how many were dropped as slivers."""
-    hulls = [convex_part(points) for points in clouds]
+    hulls = [convex_part(points, max_vertices=max_vertices) for points in clouds]
     kept = tuple(part for part in hulls if part is not None)
     return kept, len(hulls) - len(kept)
+
+
+@dataclass(frozen=True, eq=False)
+class Halfspaces:
+    """The planes of p convex parts, to be asked many times.
+
+    Attributes:
+        low: (p, 3) m, lower corner of the box of each part.
+        high: (p, 3) m, its upper corner.
+        normals: (q, 3) unit, outward, of all faces.
+        offsets: (q,) m.
+        bounds: (p + 1,) where the faces of each part begin.
+    """
+
+    low: np.ndarray
+    high: np.ndarray
+    normals: np.ndarray
+    offsets: np.ndarray
+    bounds: np.ndarray
+
+    @staticmethod
+    def of(parts: Sequence[ConvexPart]) -> Halfspaces:
+        """Those of at least one part."""
+        low, high = (np.stack([end(part.vertices, axis=0) for part in parts]) for end in (np.min, np.max))
+        return Halfspaces(low, high, *_planes(parts))
+
+    def within(self, points: np.ndarray, *, margin_m: float = 0.0) -> np.ndarray:
+        """Which points (n, 3) m lie within which parts, (n, p) bool; `within_parts` tells of the margin."""
+        near = np.ones((len(points), len(self.low)), dtype=bool)
+        for axis in range(3):  # one axis after the other: a reduction over a last axis of three is slow
+            near &= points[:, axis, None] >= self.low[:, axis] - margin_m
+            near &= points[:, axis, None] <= self.high[:, axis] + margin_m
+        for part in np.flatnonzero(near.any(axis=0)):
+            asked = np.flatnonzero(near[:, part])
+            near[asked, part] = self.height(points[asked], part) <= margin_m
+        return near
+
+    def height(self, points: np.ndarray, part: int) -> np.ndarray:
+        """Height (n,) m of points (n, 3) over the plane of a part that they are farthest out of; negative within."""
+        own = slice(self.bounds[part], self.bounds[part + 1])
+        return (points @ self.normals[own].T - self.offsets[own]).max(axis=1)
 
 
 def within_parts(points: np.ndarray, parts: Sequence[ConvexPart], *, margin_m: float = 0.0) -> np.ndarray:
@@ -51,28 +102,32 @@ def within_parts(points: np.ndarray, parts: Sequence[ConvexPart], *, margin_m: f
     Returns:
         (n, p) bool.
     """
-    within = np.zeros((len(points), len(parts)), dtype=bool)
     if not parts:
-        return within
-    low, high = (np.stack([end(part.vertices, axis=0) for part in parts]) for end in (np.min, np.max))
-    near_box = np.all((points[:, None] >= low - margin_m) & (points[:, None] <= high + margin_m), axis=2)
-    normals, offsets, bounds = _planes(parts)
-    for index in np.flatnonzero(near_box.any(axis=0)):
-        near, own = np.flatnonzero(near_box[:, index]), slice(bounds[index], bounds[index + 1])
-        within[near, index] = (points[near] @ normals[own].T - offsets[own]).max(axis=1) <= margin_m
-    return within
+        return np.zeros((len(points), 0), dtype=bool)
+    return Halfspaces.of(parts).within(points, margin_m=margin_m)
 
 
 def volume_m3(part: ConvexPart) -> float:
     """Volume of a convex part."""
-    triangles = part.vertices[part.faces] - part.vertices.mean(0)
-    return float(np.linalg.det(triangles).sum() / 6)
+    return float(volumes_m3([part])[0])
+
+
+def volumes_m3(parts: Sequence[ConvexPart]) -> np.ndarray:
+    """Volumes (p,) of convex parts."""
+    corners = np.concatenate([(part.vertices - part.vertices[0])[part.faces] for part in parts])
+    ends = np.cumsum([len(part.faces) for part in parts])
+    return np.add.reduceat(six_volumes(corners), np.append(0, ends[:-1])) / 6
+
+
+def six_volumes(corners: np.ndarray) -> np.ndarray:
+    """Determinants (n,) of (n, 3, 3): six times the volume of the tetrahedron over the origin."""
+    return np.einsum("ni,ni->n", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
 
 
 def _outward(points: np.ndarray, hull: ConvexHull) -> np.ndarray:
     """Faces (q, 3) of a hull around the origin, numbered by its corners, wound so that their normals point outward."""
     faces = hull.simplices
-    inward = np.linalg.det(points[faces]) < 0
+    inward = np.linalg.det(points[faces]) < 0  # of so few, faster than by hand
     faces = np.where(inward[:, None], faces[:, ::-1], faces)
     number = np.empty(len(points), dtype=np.int64)
     number[hull.vertices] = np.arange(len(hull.vertices))

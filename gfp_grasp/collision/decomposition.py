@@ -11,15 +11,12 @@ import trimesh
 
 from gfp_grasp.collision.config import DecomposeConfig
 from gfp_grasp.collision.convex import convex_part, convex_parts, volume_m3
-from gfp_grasp.collision.fidelity import union_error_m, union_volume_m3
+from gfp_grasp.collision.fidelity import union_error_m, volume_ratios
 from gfp_grasp.collision.guard import ChildLostError, run_guarded
 from gfp_grasp.errors import DecompositionFailed, InvalidMesh
 from gfp_grasp.meshes import check_mesh, make_solid
 from gfp_grasp.types import CollisionMesh, ConvexPart
 
-# A mug of 1500 vertices: 45 parts and IoU 0.81 at 0.05, 77 and 0.88 at 0.03, 130 at 0.02, where carrying and MuJoCo's
-# collisions cost three times those at 0.05.
-_FINE = DecomposeConfig(threshold=0.03, max_convex_hull=64, time_limit_s=1200.0)
 # An attempt that hangs must leave time for the next.
 _SHARE_OF_TIME = 0.6
 # Breaks exact coplanarity, on which CoACD aborts; 1e-6 of a mug is 0.1 micrometre.
@@ -74,12 +71,14 @@ def decompose(mesh: trimesh.Trimesh, *, config: DecomposeConfig | None = None) -
             step += 1
             continue
         _warn_of(said, config)
+        ratio, union_ratio = volume_ratios(parts, solid, rng=np.random.default_rng(0))
         notes = {
             "attempts": attempt + 1,
             "lost": tuple(lost),
             "dropped": dropped,
             "repair_m": repair_m,
-            **_volume_ratios(parts, solid),
+            "volume_ratio": ratio,
+            "union_volume_ratio": union_ratio,
             "threshold": options["threshold"],
             "preprocess_mode": options["preprocess_mode"],
             "memory_limit": said["memory_limit"] and config.memory_limit_mb is not None,
@@ -93,36 +92,27 @@ def decompose(mesh: trimesh.Trimesh, *, config: DecomposeConfig | None = None) -
     )
 
 
-def decompose_fine(mesh: trimesh.Trimesh) -> tuple[ConvexPart, ...]:
-    """Convex parts fine enough for walls, rims and handles; for use offline, as it takes from 10 s to minutes.
+def hull(mesh: trimesh.Trimesh, *, max_vertices: int | None = None) -> CollisionMesh:
+    """The convex hull of a mesh as its only part.
 
     Args:
-        mesh: Watertight, m.
-
-    Raises:
-        InvalidMesh: See decompose.
-        DecompositionFailed: See decompose.
-    """
-    return decompose(mesh, config=_FINE).parts
-
-
-def hull(mesh: trimesh.Trimesh) -> CollisionMesh:
-    """The convex hull of a mesh as its only part.
+        mesh: Metres.
+        max_vertices: Most vertices of it; None for no limit.
 
     Raises:
         InvalidMesh: Empty, not finite, badly indexed, flat, or too small for MuJoCo.
     """
     started = time.monotonic()
     used = _used(check_mesh(mesh))
-    part = _whole_hull(used)
+    part = _whole_hull(used, max_vertices)
     error = union_error_m([part], used, rng=np.random.default_rng(0))
     ratio = float(volume_m3(part) / used.volume) if used.is_volume else float("nan")
     notes = {"dropped": 0, "volume_ratio": ratio, "union_volume_ratio": ratio}
     return CollisionMesh((part,), error, "hull", time.monotonic() - started, notes)
 
 
-def _whole_hull(mesh: trimesh.Trimesh) -> ConvexPart:
-    part = convex_part(np.asarray(mesh.vertices))
+def _whole_hull(mesh: trimesh.Trimesh, max_vertices: int | None = None) -> ConvexPart:
+    part = convex_part(np.asarray(mesh.vertices), max_vertices=max_vertices)
     if part is None:
         extents = " x ".join(f"{extent:.3g}" for extent in np.ptp(mesh.vertices, axis=0))
         raise InvalidMesh(
@@ -158,14 +148,6 @@ def _variation(solid: trimesh.Trimesh, config: DecomposeConfig, step: int) -> tu
     if step > 2:
         config = replace(config, preprocess_mode="on")
     return vertices, config.coacd_options()
-
-
-def _volume_ratios(parts: tuple[ConvexPart, ...], solid: trimesh.Trimesh) -> dict[str, float]:
-    union = union_volume_m3(parts, rng=np.random.default_rng(0))
-    return {
-        "volume_ratio": float(sum(map(volume_m3, parts)) / solid.volume),
-        "union_volume_ratio": float(union / solid.volume),
-    }
 
 
 def _warn_of(said: dict[str, object], config: DecomposeConfig) -> None:

@@ -8,18 +8,25 @@ import numpy as np
 import trimesh
 from scipy.spatial import KDTree
 
-from gfp_grasp.collision.convex import volume_m3, within_parts
+from gfp_grasp.collision.convex import Halfspaces, six_volumes
 from gfp_grasp.types import ConvexPart
 
 # Faces on which two parts meet are no surface of the union. They are told by a step outward that lands in the
 # neighbour; it is a share of the diagonal, and bridges the hairline cracks that carrying opens.
 _STEP = 2e-3
 _NEIGHBOURS = 8
+# Fewer on the parts, and the triangle that is nearest may not be among those of the nearest anchors.
+_LEAST_ANCHORS = 2000
 _R2 = (0.7548776662466927, 0.5698402909980532)
 
 
 def union_error_m(
-    parts: Sequence[ConvexPart], mesh: trimesh.Trimesh, *, count: int = 2000, rng: np.random.Generator
+    parts: Sequence[ConvexPart],
+    mesh: trimesh.Trimesh,
+    *,
+    count: int = 2000,
+    rng: np.random.Generator,
+    planes: Halfspaces | None = None,
 ) -> tuple[float, float, float]:
     """Two-sided distance between the surface of the parts' union and a mesh.
 
@@ -31,6 +38,7 @@ def union_error_m(
         mesh: In the same frame.
         count: Samples on each surface.
         rng: Source of the samples.
+        planes: Of the parts, where they are at hand.
 
     Returns:
         Mean, 95 % and largest distance, m, over both directions with equal weight.
@@ -38,43 +46,53 @@ def union_error_m(
     step = _STEP * float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
     part_triangles = np.concatenate([part.vertices[part.faces] for part in parts])
     owner = np.repeat(np.arange(len(parts)), [len(part.faces) for part in parts])
-    anchors, triangle, sampled = _anchors(part_triangles, 2 * count, rng)
-    inside = within_parts(anchors + step * _normals(part_triangles)[triangle], parts)
+    anchors, triangle, sampled = _anchors(part_triangles, max(2 * count, _LEAST_ANCHORS), rng)
+    planes = planes or Halfspaces.of(parts)
+    inside = planes.within(anchors + step * _normals(part_triangles)[triangle])
     inside[np.arange(len(anchors)), owner[triangle]] = False
     seen = np.logical_not(inside.any(axis=1))
     if not seen[sampled].any():  # parts all within each other: nothing can be hidden but by rounding
         seen[:] = True
     of_union = anchors[seen & sampled]
+    of_union = of_union[:: max(1, len(of_union) // (2 * count))]
     anchors, union_triangles = anchors[seen], part_triangles[triangle[seen]]
 
     mesh_triangles = np.asarray(mesh.triangles)
     mesh_anchors, triangle, sampled = _anchors(mesh_triangles, count, rng)
     of_mesh = mesh_anchors[sampled]
-    to_mesh, _ = _nearest(of_union, mesh_anchors, mesh_triangles[triangle])
-    to_union, foot = _nearest(of_mesh, anchors, union_triangles)
-    # A foot on the hidden stretch of a triangle is no surface: the nearest anchor that is seen stands in for it.
-    hidden = within_parts(foot, parts, margin_m=-step).any(axis=1)
-    if hidden.any():
-        to_union[hidden] = KDTree(anchors).query(of_mesh[hidden])[0]
+    to_mesh = _feet(of_union, mesh_anchors, mesh_triangles[triangle])[1].min(axis=1)
+    feet, distance = _feet(of_mesh, anchors, union_triangles)
+    nearest = np.take_along_axis(feet, distance.argmin(axis=1)[:, None, None], axis=1)[:, 0]
+    # A foot on the hidden stretch of a triangle is no surface: another foot that is, or the nearest anchor, stands in.
+    hidden = np.flatnonzero(planes.within(nearest, margin_m=-step).any(axis=1))
+    if len(hidden):
+        unseen = planes.within(feet[hidden].reshape(-1, 3), margin_m=-step).any(axis=1).reshape(len(hidden), -1)
+        to_anchor = KDTree(anchors).query(of_mesh[hidden])[0]
+        distance[hidden] = np.where(unseen, to_anchor[:, None], np.minimum(distance[hidden], to_anchor[:, None]))
+    to_union = distance.min(axis=1)
     return _mean_p95_max(to_mesh, to_union)
 
 
-def union_volume_m3(parts: Sequence[ConvexPart], *, count: int = 4000, rng: np.random.Generator) -> float:
-    """Volume of the union: the parts' own, shared out where they overlap (a Monte Carlo mean of 1 / overlaps)."""
-    fans, owner = [], []
-    for index, part in enumerate(parts):
-        corners = part.vertices[part.faces]
-        centre = np.broadcast_to(part.vertices.mean(0), (len(corners), 1, 3))
-        fans.append(np.concatenate([centre, corners], axis=1))
-        owner.append(np.full(len(corners), index))
-    tetrahedra, owner = np.concatenate(fans), np.concatenate(owner)
-    volume = np.abs(np.linalg.det(tetrahedra[:, 1:] - tetrahedra[:, :1])) / 6
+def volume_ratios(
+    parts: Sequence[ConvexPart],
+    mesh: trimesh.Trimesh,
+    *,
+    count: int = 4000,
+    rng: np.random.Generator,
+    planes: Halfspaces | None = None,
+) -> tuple[float, float]:
+    """Volume of the parts over the mesh's: their sum, and their union (by the mean of 1 / overlaps of count places)."""
+    corners = np.concatenate([(part.vertices - part.vertices[0])[part.faces] for part in parts])
+    sizes = np.array([len(part.faces) for part in parts])
+    owner, apex = np.repeat(np.arange(len(parts)), sizes), np.stack([part.vertices[0] for part in parts])
+    volume = np.maximum(six_volumes(corners), 0.0)
     chosen = rng.choice(len(volume), count, p=volume / volume.sum())
-    weights = rng.dirichlet(np.ones(4), count)
-    points = np.einsum("ni,nij->nj", weights, tetrahedra[chosen])
-    within = within_parts(points, parts)
+    weights = rng.dirichlet(np.ones(4), count)[:, 1:]
+    places = apex[owner[chosen]] + np.einsum("ni,nij->nj", weights, corners[chosen])
+    within = (planes or Halfspaces.of(parts)).within(places)
     within[np.arange(count), owner[chosen]] = True
-    return float(sum(map(volume_m3, parts)) * (1 / within.sum(axis=1)).mean())
+    ratio = float(volume.sum() / 6 / mesh.volume)
+    return ratio, ratio * float((1 / within.sum(axis=1)).mean())
 
 
 def _anchors(triangles: np.ndarray, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -97,16 +115,13 @@ def _samples(triangles: np.ndarray, count: int, rng: np.random.Generator) -> tup
     return (1 - u) * a + u * (1 - v) * b + u * v * c, index
 
 
-def _nearest(points: np.ndarray, anchors: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Distance (n,) of points to the triangles of their nearest anchors, and its foot (n, 3)."""
+def _feet(points: np.ndarray, anchors: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Nearest places (n, k, 3) to points on the triangles of their nearest anchors, and distances (n, k)."""
     k = min(_NEIGHBOURS, len(anchors))
     _, near = KDTree(anchors).query(points, k=k)
     near = near.reshape(len(points), k)
-    feet = trimesh.triangles.closest_point(triangles[near.ravel()], np.repeat(points, k, axis=0))
-    distance = np.linalg.norm(feet.reshape(-1, k, 3) - points[:, None], axis=2)
-    best = distance.argmin(axis=1)
-    rows = np.arange(len(points))
-    return distance[rows, best], feet.reshape(-1, k, 3)[rows, best]
+    feet = trimesh.triangles.closest_point(triangles[near.ravel()], np.repeat(points, k, axis=0)).reshape(-1, k, 3)
+    return feet, np.linalg.norm(feet - points[:, None], axis=2)
 
 
 def _cross(triangles: np.ndarray) -> np.ndarray:

@@ -227,4 +227,4 @@ def load_card(variant: Variant) -> dict[str, object]:
 
 def knows(variant: Variant, primitive: GenericPrimitive) -> bool:
     """Whether the shipped network was trained on this very primitive: the modes of another one mean something else."""
-    return primitive.card.get("sha256") in dict(load_card(variant).get("primitives", {})).values()  # type: ignore[call-overload]
+    return primitive.card.get("shape_sha256") in dict(load_card(variant).get("primitives", {})).values()  # type: ignore[call-overload]

@@ -2,6 +2,7 @@
 
 from gfp_grasp.primitives.build import BuildConfig, build_primitive
 from gfp_grasp.primitives.figures import PrimitiveReport, measure_primitive
+from gfp_grasp.primitives.parting import with_parts
 from gfp_grasp.primitives.source import build_from_folder, build_from_shapes
 from gfp_grasp.primitives.store import list_primitives, load_kinds, load_primitive, read_primitive, save_primitive
 from gfp_grasp.primitives.whole import WholeConfig, fit_whole_surface
@@ -20,4 +21,5 @@ __all__ = [
     "measure_primitive",
     "read_primitive",
     "save_primitive",
+    "with_parts",
 ]

@@ -17,6 +17,7 @@ from gfp_grasp.primitives.correspondence import Correspondence, CorrespondenceCo
 from gfp_grasp.primitives.frame import stand_up
 from gfp_grasp.primitives.mls import project
 from gfp_grasp.primitives.modes import ShapeModel, shape_model
+from gfp_grasp.primitives.parting import with_parts
 from gfp_grasp.primitives.pose import bring_into_one_pose
 from gfp_grasp.primitives.procrustes import generalized
 from gfp_grasp.primitives.remesh import RemeshConfig, remesh
@@ -24,7 +25,7 @@ from gfp_grasp.primitives.resample import ResampleConfig, resample
 from gfp_grasp.primitives.template import choose_template
 from gfp_grasp.primitives.twin import without_handle
 from gfp_grasp.primitives.untangle import untangle
-from gfp_grasp.types import HANDLE, ConvexPart, GenericPrimitive
+from gfp_grasp.types import HANDLE, GenericPrimitive
 
 Progress = Callable[[Iterable, int], Iterable]
 _UP = np.array([0.0, 0.0, 1.0])
@@ -117,7 +118,8 @@ def build_primitive(
     placed = _into_frame(vertices, faces, config)
     areas = _vertex_areas(placed.mean(axis=0), faces)
     model = shape_model(placed, areas, variance=config.variance, max_modes=config.max_modes)
-    return _assemble(model, faces, category, config, rng, num_given=len(meshes), dropped=dropped)
+    primitive = _assemble(model, faces, category, config, rng, num_given=len(meshes), dropped=dropped)
+    return with_parts(primitive) if config.parts else primitive
 
 
 def _repair(meshes: Sequence[trimesh.Trimesh], dropped: Counter[str]) -> list[trimesh.Trimesh]:
@@ -253,7 +255,6 @@ def _assemble(
             modes=modes[:, twin_map],
             symmetry=symmetry(twin_map, twin_faces),
             regions=regions[twin_map],
-            parts=_convex_parts(vertices[twin_map], twin_faces, config),
             **shared,
         )
     card = {
@@ -276,17 +277,8 @@ def _assemble(
         modes=modes,
         symmetry=symmetry(np.arange(len(vertices)), thin),
         regions=regions,
-        parts=_convex_parts(vertices, thin, config),
         twin=twin,
         twin_map=twin_map,
         card=card,
         **shared,
     )
-
-
-def _convex_parts(vertices: np.ndarray, faces: np.ndarray, config: BuildConfig) -> tuple[ConvexPart, ...]:
-    if not config.parts:
-        return ()
-    from gfp_grasp.collision import decompose_fine  # starts a child process; only builds need it
-
-    return tuple(decompose_fine(trimesh.Trimesh(vertices, faces, process=False)))

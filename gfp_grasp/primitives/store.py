@@ -28,7 +28,8 @@ def save_primitive(primitive: GenericPrimitive, folder: str | Path) -> Path:
         folder: Made where it does not exist.
 
     Returns:
-        Path of the .safetensors file; the card names the sha256 of it.
+        Path of the .safetensors file; the card names the sha256 of it, and that of its shape: of all but the parts,
+        by which a network knows what it was trained on.
     """
     folder = Path(folder)
     folder.mkdir(parents=True, exist_ok=True)
@@ -41,8 +42,9 @@ def save_primitive(primitive: GenericPrimitive, folder: str | Path) -> Path:
         **({"kind": primitive.kind} if primitive.kind else {}),
         "licence": primitive.licence,
         "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
-        **{key: value for key, value in primitive.card.items() if key not in ("category", "kind", "licence", "sha256")},
+        "shape_sha256": _shape_sha256(primitive),
     }
+    card |= {key: value for key, value in primitive.card.items() if key not in (*card, "kind")}
     path.with_suffix(".json").write_text(json.dumps(card, indent=1) + "\n", encoding="utf-8")
     return path
 
@@ -110,6 +112,14 @@ def read_primitive(path: str | Path) -> GenericPrimitive:
         raise UnreadableFile(f"{path} lacks {error}: it is no primitive, or one of an older version") from error
 
 
+def _shape_sha256(primitive: GenericPrimitive) -> str:
+    """Of mean, faces and modes, as they are stored."""
+    digest = hashlib.sha256(np.ascontiguousarray(primitive.vertices).tobytes())
+    digest.update(np.ascontiguousarray(primitive.faces).tobytes())
+    digest.update(np.ascontiguousarray(primitive.modes, dtype=np.float32).tobytes())
+    return digest.hexdigest()
+
+
 def _arrays_of(primitive: GenericPrimitive, prefix: str) -> dict[str, np.ndarray]:
     arrays = {prefix + name: np.ascontiguousarray(getattr(primitive, name)) for name in _ARRAYS}
     arrays[prefix + "modes"] = arrays[prefix + "modes"].astype(np.float32)  # a tenth of a micrometre is enough
@@ -120,6 +130,8 @@ def _arrays_of(primitive: GenericPrimitive, prefix: str) -> dict[str, np.ndarray
     parts = primitive.parts
     arrays[prefix + "part_sizes"] = np.array([[len(p.vertices), len(p.faces)] for p in parts]).reshape(-1, 2)
     arrays[prefix + "part_vertices"] = np.concatenate([np.zeros((0, 3)), *(p.vertices for p in parts)])
+    arrays[prefix + "part_merges"] = np.ascontiguousarray(primitive.part_merges)
+    arrays[prefix + "part_errors_m"] = np.ascontiguousarray(primitive.part_errors_m)
     arrays[prefix + "part_faces"] = np.concatenate([np.zeros((0, 3), dtype=np.int64), *(p.faces for p in parts)])
     if primitive.twin is not None and primitive.twin_map is not None:
         arrays[prefix + "twin_map"] = np.ascontiguousarray(primitive.twin_map)
@@ -141,6 +153,8 @@ def _from_arrays(arrays: dict[str, np.ndarray], prefix: str, card: dict) -> Gene
         **{name: arrays[prefix + name] for name in _ARRAYS},
         symmetry=symmetry,
         parts=tuple(ConvexPart(v, f) for v, f in zip(vertices, faces, strict=True)),
+        part_merges=arrays.get(prefix + "part_merges", np.zeros((0, 2))),
+        part_errors_m=arrays.get(prefix + "part_errors_m", np.zeros((0, 2))),
         twin=_from_arrays(arrays, prefix + "twin.", card) if has_twin else None,
         twin_map=arrays[prefix + "twin_map"] if has_twin else None,
         licence=card["licence"],

@@ -105,7 +105,7 @@ def train_gfpnet(
         },
         hours=hours,
         metrics=_measure(network, held_out) if variant == "patch" else _measure_paper(network, _single(held_out)),
-        extra={"primitives": {name: load_primitive(name).card["sha256"] for name in PRIMITIVES}},
+        extra={"primitives": {name: load_primitive(name).card["shape_sha256"] for name in PRIMITIVES}},
     )
 
 

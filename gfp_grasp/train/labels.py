@@ -191,4 +191,4 @@ def _primitives_of(category: str, num_modes: int) -> tuple[GenericPrimitive, ...
 
 
 def _card_id(family: str) -> bytes:
-    return "".join(str(primitive.card.get("sha256", "")) for primitive in load_kinds(family)).encode()
+    return "".join(str(primitive.card.get("shape_sha256", "")) for primitive in load_kinds(family)).encode()

@@ -1,0 +1,80 @@
+"""Whether what fits into a hollow thing still fits between its convex parts."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import trimesh
+from scipy.spatial import ConvexHull, KDTree, QhullError
+
+from gfp_grasp.collision.convex import Halfspaces
+from gfp_grasp.types import ConvexPart
+
+_DRAWN = 6000
+_LEAST_M = 0.002  # gaps of which no larger ball is to be found are dents
+_AROUND = 1.5  # vertices within this many radii hold the centre of a ball in place
+_HOLDERS = 64
+
+
+def widest_gap(mesh: trimesh.Trimesh, *, seed: int = 0) -> np.ndarray | None:
+    """Centre (3,) m of a large ball that lies within a mesh's convex hull but outside of the mesh, as in a cup.
+
+    Args:
+        mesh: Watertight, m.
+        seed: Of the places that are tried.
+
+    Returns:
+        None where there is no ball of 2 mm.
+    """
+    rng = np.random.default_rng(seed)
+    try:
+        planes = ConvexHull(mesh.vertices).equations
+    except QhullError:
+        return None
+    surface = KDTree(np.concatenate([mesh.vertices, mesh.triangles_center]))
+    best, radius = mesh.bounds.mean(axis=0), 0.0
+    low, high = mesh.bounds
+    for _ in range(3):  # around the best place of those before
+        places = rng.uniform(low, high, (_DRAWN, 3))
+        places = places[(places @ planes[:, :3].T + planes[:, 3]).max(axis=1) < 0]
+        distance = surface.query(places)[0]
+        wider = np.flatnonzero(distance > radius)
+        wider = wider[~mesh.contains(places[wider])] if len(wider) else wider
+        if len(wider):
+            first = wider[distance[wider].argmax()]
+            best, radius = places[first], float(distance[first])
+        low, high = best - max(radius, _LEAST_M), best + max(radius, _LEAST_M)
+    return best if radius > _LEAST_M else None
+
+
+def held_by(point: np.ndarray, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices around a point, and weights that sum to one, with which it moves when they do.
+
+    Returns:
+        Index (n,) and weights (n,).
+    """
+    distance = np.linalg.norm(vertices - point, axis=1)
+    near = np.flatnonzero(distance < _AROUND * distance.min())
+    if len(near) < _HOLDERS:
+        near = np.argsort(distance)[:_HOLDERS]
+    here = np.vstack([vertices[near].T, np.ones(len(near))])
+    return near, np.linalg.lstsq(here, np.append(point, 1.0), rcond=None)[0]
+
+
+def ball_radii_m(
+    centre: np.ndarray, mesh: trimesh.Trimesh, parts: Sequence[ConvexPart], planes: Halfspaces
+) -> tuple[float, float]:
+    """Radius, m, of the largest ball around a centre (3,) m that a mesh leaves free, and that its parts leave free."""
+    hulls = np.concatenate([part.vertices[part.faces] for part in parts])
+    blocked = planes.within(centre[None]).any()
+    return _clearance_m(centre, np.asarray(mesh.triangles)), 0.0 if blocked else _clearance_m(centre, hulls)
+
+
+def _clearance_m(point: np.ndarray, triangles: np.ndarray) -> float:
+    # Only triangles with a corner as near as this can be the nearest.
+    corner = np.linalg.norm(triangles - point, axis=2)
+    longest = np.linalg.norm(triangles - np.roll(triangles, 1, axis=1), axis=2).max(axis=1)
+    near = triangles[corner.min(axis=1) - longest <= corner.min()]
+    feet = trimesh.triangles.closest_point(near, np.broadcast_to(point, (len(near), 3)))
+    return float(np.linalg.norm(feet - point, axis=1).min())
