@@ -1,6 +1,6 @@
-"""Convex parts that stand for a mesh: CoACD in a guarded child process, or a template's parts carried along.
+"""Convex parts that stand for a mesh: CoACD or V-HACD in a guarded child process, or a template's parts carried along.
 
-Importing this package loads neither CoACD nor scipy: the guard's child process imports it too, and starts faster so.
+Importing this package loads neither engine nor scipy: the guard's child process imports it too, and starts faster so.
 """
 
 from importlib import import_module
@@ -11,8 +11,9 @@ if TYPE_CHECKING:
     from gfp_grasp.collision.choice import collision_of
     from gfp_grasp.collision.config import DecomposeConfig
     from gfp_grasp.collision.decomposition import decompose, decompose_fine, hull
+    from gfp_grasp.collision.many import decompose_many
 
-__all__ = ["DecomposeConfig", "carry_parts", "collision_of", "decompose", "decompose_fine", "hull"]
+__all__ = ["DecomposeConfig", "carry_parts", "collision_of", "decompose", "decompose_fine", "decompose_many", "hull"]
 
 _HOMES = {
     "DecomposeConfig": "config",
@@ -20,6 +21,7 @@ _HOMES = {
     "collision_of": "choice",
     "decompose": "decomposition",
     "decompose_fine": "decomposition",
+    "decompose_many": "many",
     "hull": "decomposition",
 }
 
