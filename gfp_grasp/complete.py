@@ -13,11 +13,12 @@ import trimesh
 from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
+from gfp_grasp.arguments import checked_direction, checked_height, checked_place
 from gfp_grasp.collision import CollisionConfig
 from gfp_grasp.completion import Completion
 from gfp_grasp.deform import DeformConfig, deform
-from gfp_grasp.detect import clean_cloud, detect_objects, detect_single, numbers_of
-from gfp_grasp.errors import FitDiverged, InvalidCloud, InvalidOption, InvalidView, UnknownCategory
+from gfp_grasp.detect import clean_cloud, detect_objects, detect_single
+from gfp_grasp.errors import FitDiverged, InvalidOption, InvalidView, UnknownCategory
 from gfp_grasp.meshes import crossing_faces
 from gfp_grasp.observation import (
     canonical_frame,
@@ -48,7 +49,6 @@ _ALIKE = ({"cup", "mug"},)
 # How much more a kind has to explain than its class, negative log odds: of the procedural cups and bottles each kind
 # is 6 to 14 %.
 _KIND_COST = 2.5
-_FARTHEST_M = 1e12  # from any origin: beyond it metres have no decimals and squares overflow
 
 
 @dataclass(frozen=True)
@@ -123,8 +123,8 @@ def complete_to_mesh(
     _check_category(category)
     if view is not None and not isinstance(view, DepthImage):
         raise InvalidView(f"view is a {type(view).__name__}; a gfp_grasp.types.DepthImage is expected")
-    place, direction = _checked_place(viewpoint), _checked_direction(up)
-    height = _checked_height(support_height)
+    place, direction = checked_place(viewpoint), checked_direction(up)
+    height = checked_height(support_height)
     start = time.perf_counter()
     points = order_points(clean_cloud(cloud), seed=seed)
     detection = _detect(points, place, direction, height, view, mask, category)
@@ -156,7 +156,7 @@ def complete_scene(
     if not isinstance(image, DepthImage):
         raise InvalidView(f"image is a {type(image).__name__}; a gfp_grasp.types.DepthImage is expected")
     done, failure = [], None
-    for detection in detect_objects(image, up=_checked_direction(up)):
+    for detection in detect_objects(image, up=checked_direction(up)):
         try:
             done.append(complete_detection(detection, config=config, seed=seed))
         except FitDiverged as error:
@@ -297,46 +297,6 @@ def _check_options(config: object, seed: object) -> None:
         raise InvalidOption(f"config is a {type(config).__name__}; a CompleteConfig is expected")
     if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
         raise InvalidOption(f"seed is {seed!r}; a whole number from 0 on is expected")
-
-
-def _checked_vector(value: object, name: str) -> np.ndarray | None:
-    if value is None:
-        return None
-    vector = numbers_of(value, name)
-    if vector.shape != (3,) or not np.isfinite(vector).all():
-        came = vector.tolist() if vector.size < 9 else f"an array of shape {vector.shape}"
-        raise InvalidCloud(f"{name} is {came}; three finite numbers are expected")
-    return vector
-
-
-def _checked_place(viewpoint: object) -> np.ndarray | None:
-    vector = _checked_vector(viewpoint, "viewpoint")
-    if vector is not None and np.abs(vector).max() > _FARTHEST_M:
-        raise InvalidCloud(f"viewpoint is {vector.tolist()}: metres in the frame of the cloud are expected")
-    return vector
-
-
-def _checked_direction(up: object) -> np.ndarray | None:
-    vector = _checked_vector(up, "up")
-    if vector is None:
-        return None
-    longest = np.abs(vector).max()
-    if longest < 1e-9:
-        raise InvalidCloud("up has no length: give the direction that is up, e.g. (0, 0, 1), or None to estimate it")
-    vector = vector / longest  # first, so that no square overflows
-    return vector / np.linalg.norm(vector)
-
-
-def _checked_height(value: object) -> float | None:
-    if value is None:
-        return None
-    try:
-        height = float(value)  # type: ignore[arg-type]
-    except (TypeError, ValueError, RuntimeError) as error:
-        raise InvalidOption(f"support_height is {value!r}; a number in metres is expected") from error
-    if not np.isfinite(height):
-        raise InvalidOption(f"support_height is {height}; a finite number in metres, or None, is expected")
-    return height
 
 
 class _Clock:

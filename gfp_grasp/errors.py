@@ -41,6 +41,10 @@ class DecompositionFailed(GfpGraspError):
     """Convex decomposition crashed, ran out of time or gave nothing usable, and no retry helped."""
 
 
+class Cancelled(GfpGraspError):
+    """A job that its caller called off before it was done."""
+
+
 class InvalidOption(GfpGraspError, ValueError):
     """An option or configuration value outside of what is legal; the message lists what is legal."""
 

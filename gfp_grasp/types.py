@@ -344,14 +344,14 @@ class CollisionMesh:
         parts: Convex, world frame of the mesh.
         error_m: Mean, 95 % and largest two-sided distance between the surface of the union and the mesh; NaN where
             it was not measured.
-        made_by: "carried", "coacd", "cuts" or "hull".
+        made_by: "carried", "coacd", "cuts", "hull" or "vhacd".
         seconds: Time it took.
         notes: Figures and warnings: attempts, dropped slivers, volume ratio.
     """
 
     parts: tuple[ConvexPart, ...]
     error_m: tuple[float, float, float]
-    made_by: Literal["carried", "coacd", "cuts", "hull"]
+    made_by: Literal["carried", "coacd", "cuts", "hull", "vhacd"]
     seconds: float
     notes: Mapping[str, object] = field(default_factory=dict)
 

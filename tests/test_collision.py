@@ -16,7 +16,7 @@ from gfp_grasp.collision.fidelity import union_error_m, volume_ratios
 from gfp_grasp.errors import DecompositionFailed, InvalidMesh, InvalidOption
 from gfp_grasp.types import ConvexPart
 
-QUICK = DecomposeConfig(mcts_iterations=60, mcts_nodes=10, resolution=1000)
+QUICK = DecomposeConfig(mcts_iterations=60, mcts_nodes=10, resolution=1000, cache=False)
 
 
 def box(low: list[float], high: list[float]) -> ConvexPart:
@@ -132,6 +132,9 @@ def test_options_reach_coacd():
         {"time_limit_s": float("inf")},
         {"memory_limit_mb": 1},
         {"attempts": 0},
+        {"engine": "hacd"},
+        {"vhacd_resolution": 9999},
+        {"cache": "yes"},
     ],
 )
 def test_nonsense_options_are_refused_by_name(options):
@@ -208,4 +211,4 @@ def test_a_mesh_in_no_known_unit_is_refused_as_too_small():
 
 def test_what_does_not_fit_into_the_time_limit_is_named():
     with pytest.raises(DecompositionFailed, match="time_limit_s"):
-        decompose(cup(64), config=DecomposeConfig(time_limit_s=0.05))
+        decompose(cup(64), config=DecomposeConfig(time_limit_s=0.05, cache=False))

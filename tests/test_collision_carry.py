@@ -135,7 +135,7 @@ def test_vertices_that_are_not_the_primitives_are_refused(vertices):
 
 
 def test_a_primitive_without_parts_and_a_flattening_are_refused():
-    with pytest.raises(InvalidMesh, match="decompose_fine"):
+    with pytest.raises(InvalidMesh, match="gps parts"):
         carry_parts(primitive(CUP, ()), CUP.vertices)
     with pytest.raises(InvalidMesh, match="flat"):
         carry_parts(TEMPLATE, CUP.vertices * [1, 1, 0])

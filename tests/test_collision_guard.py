@@ -17,7 +17,7 @@ from gfp_grasp.collision import DecomposeConfig, decompose
 from gfp_grasp.collision.guard import ChildLostError, close_workers, run_guarded
 from gfp_grasp.errors import DecompositionFailed, InvalidMesh
 
-QUICK = DecomposeConfig(mcts_iterations=60, mcts_nodes=10, resolution=1000)
+QUICK = DecomposeConfig(mcts_iterations=60, mcts_nodes=10, resolution=1000, cache=False)
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="looks for processes in /proc")
 
 
@@ -171,7 +171,7 @@ def test_when_all_is_lost_the_error_says_how_often_and_why(monkeypatch):
 
     monkeypatch.setattr("gfp_grasp.collision.decomposition.run_guarded", lost)
     with pytest.raises(DecompositionFailed, match=r"3 of 3 attempts.*SIGSEGV"):
-        decompose(box(), config=DecomposeConfig(attempts=3))
+        decompose(box(), config=DecomposeConfig(attempts=3, cache=False))
 
 
 @LINUX

@@ -15,7 +15,7 @@ PACKAGE = ROOT / "gfp_grasp"
 ROWS = (
     ("errors", "types", "assets", "transforms", "parallel"),
     ("camera", "meshes", "metrics", "shapes", "collision"),
-    ("observation", "primitives", "detect", "register", "deform", "grasps"),
+    ("arguments", "observation", "primitives", "detect", "register", "deform", "grasps"),
     ("complete", "completers", "completion", "export", "scenes", "datasets", "captures"),
     ("envs", "train"),
     ("report", "score", "bench", "cli", "demo"),

@@ -42,7 +42,9 @@ def test_no_file_of_the_shipped_folders_is_ignored_by_git() -> None:
 
 def test_every_import_is_a_declared_dependency() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))["project"]
-    declared = {_normal(re.split(r"[\s\[<>=!~;]", line, maxsplit=1)[0]) for line in project["dependencies"]}
+    extras = [line for name, extra in project["optional-dependencies"].items() if name != "dev" for line in extra]
+    lines = [*project["dependencies"], *extras]
+    declared = {_normal(re.split(r"[\s\[<>=!~;]", line, maxsplit=1)[0]) for line in lines}
     homes = packages_distributions()
     for path in sorted((ROOT / "gfp_grasp").rglob("*.py")):
         for name in _imported(path) - set(sys.stdlib_module_names) - {"gfp_grasp"}:

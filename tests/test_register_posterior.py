@@ -11,10 +11,11 @@ from gfp_grasp.detect import detect_single
 from gfp_grasp.observation import canonical_frame
 from gfp_grasp.primitives import load_kinds, load_primitive
 from gfp_grasp.register import FitConfig, ModesConfig, fit_best, fit_primitive, gather_evidence
+from gfp_grasp.register.correspond import nearest
 from gfp_grasp.register.modes import judge, refine
 from gfp_grasp.register.occlusion import cut_off
 from gfp_grasp.register.ovality import ovality_gram, round_share
-from gfp_grasp.register.posterior import _nearest, costs, linearise, shape_model
+from gfp_grasp.register.posterior import costs, linearise, shape_model
 from gfp_grasp.register.starts import starts
 from gfp_grasp.register.state import StateBatch
 from gfp_grasp.shapes import make_shape, split_seeds
@@ -51,7 +52,7 @@ def test_the_nearest_of_few_samples_is_that_of_a_tree():
     rng = np.random.default_rng(0)
     asked, features = (rng.normal(size=(count, 6)).astype(np.float32) for count in (200, 500))
     half = 0.5 * (features**2).sum(axis=1)
-    assert np.array_equal(_nearest(asked, features, half)[0], KDTree(features).query(asked)[1])
+    assert np.array_equal(nearest(asked, features, half)[0], KDTree(features).query(asked)[1])
 
 
 def test_what_the_class_says_worse_than_its_kind_is_the_kinds():

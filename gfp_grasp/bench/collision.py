@@ -4,9 +4,6 @@ Objects are completed from one view, and the same completed mesh is given to eve
 along, CoACD afresh, V-HACD, and the hull. The scans of a folder are decomposed as they are, too.
 """
 
-# MuJoCo's names come from compiled modules, into which the type checker does not see.
-# pyright: reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 import time
@@ -24,6 +21,7 @@ from gfp_grasp.collision.convex import within_parts
 from gfp_grasp.collision.fidelity import union_error_m
 from gfp_grasp.complete import complete_to_mesh
 from gfp_grasp.completion import Completion
+from gfp_grasp.envs.pace import held_steps_per_s
 from gfp_grasp.errors import GfpGraspError, InvalidOption
 from gfp_grasp.grasps import plan_grasps
 from gfp_grasp.parallel import pmap
@@ -37,8 +35,6 @@ _ENGINES = {
 }
 METHODS = ("carried", *_ENGINES, "hull")
 _INSIDE = 40_000  # places that the intersection over union is counted on
-_STEPS = 400
-_MASS_KG, _FRICTION = 0.2, 0.8
 
 
 def bench_collision(
@@ -143,7 +139,7 @@ def _judged(
         "vertices": sum(len(part.vertices) for part in found.parts),
         "error_mm": [round(1000 * error, 3) for error in error_m],
         "iou": round(_iou(found.parts, mesh, rng), 4),
-        "steps_per_s": _steps_per_s(found.parts, grasps[0]) if len(grasps) else None,
+        "steps_per_s": held_steps_per_s(found.parts, grasps[0]) if len(grasps) else None,
     }
 
 
@@ -152,24 +148,6 @@ def _iou(parts: Sequence[ConvexPart], mesh: trimesh.Trimesh, rng: np.random.Gene
     places = rng.uniform(reach.min(axis=0), reach.max(axis=0), (_INSIDE, 3))
     mine, its = within_parts(places, parts).any(axis=1), mesh.contains(places)
     return float((mine & its).sum() / max((mine | its).sum(), 1))
-
-
-def _steps_per_s(parts: tuple[ConvexPart, ...], grasp: Grasp) -> float:
-    """Steps a second of MuJoCo with the jaws of a gripper closed on the parts."""
-    import mujoco
-
-    from gfp_grasp.envs.rig import Rig
-    from gfp_grasp.envs.world import TARGET, World
-
-    world = World.of_parts(parts, _MASS_KG, _FRICTION)
-    world.restore()
-    rig = Rig.of(world.model, world.data, TARGET)
-    rig.place(grasp.T_world_gripper, grasp.width_m + 0.01)
-    rig.set_opening(0.0)
-    mujoco.mj_step(world.model, world.data, _STEPS)
-    start = time.perf_counter()
-    mujoco.mj_step(world.model, world.data, _STEPS)
-    return round(_STEPS / (time.perf_counter() - start), 1)
 
 
 def _figures(trials: Sequence[dict]) -> dict[str, object]:

@@ -2,13 +2,26 @@
 
 import json
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated, TypeVar
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
+from rich.columns import Columns
+from rich.console import Console, RenderableType
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    ProgressColumn,
+    Task,
+    TextColumn,
+    TimeElapsedColumn,
+    TimeRemainingColumn,
+)
+from rich.progress_bar import ProgressBar
 from rich.table import Table
+from rich.text import Text
 
 from gfp_grasp.errors import InvalidOption
 
@@ -55,6 +68,21 @@ def table(headings: Sequence[str], rows: Iterable[Sequence[str]], *, title: str 
     for row in rows:
         made.add_row(*row)
     out.print(made)
+
+
+@contextmanager
+def stages(limit_s: float) -> Iterator[Callable[[str], None]]:
+    """A bar on stderr that fills with time, up to a limit, and names the stage that it is told."""
+    with Progress(TextColumn("{task.description}"), _TimeBar(), TextColumn(""), console=err) as progress:
+        task = progress.add_task("", total=limit_s)
+        yield lambda stage: progress.update(task, description=stage)
+
+
+class _TimeBar(ProgressColumn):
+    def render(self, task: Task) -> RenderableType:
+        elapsed, limit = task.elapsed or 0.0, task.total or 1.0
+        bar = ProgressBar(total=limit, completed=min(elapsed, limit), width=40)
+        return Columns([bar, Text(f"{elapsed:.0f} of {limit:g} s")])
 
 
 def vector(text: str | None, name: str) -> list[float] | None:

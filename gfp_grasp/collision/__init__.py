@@ -1,6 +1,6 @@
-"""Convex parts that stand for a mesh: CoACD in a guarded child process, or a template's parts carried along.
+"""Convex parts that stand for a mesh: CoACD or V-HACD in a guarded child process, or a template's parts carried along.
 
-Importing this package loads neither CoACD nor scipy: the guard's child process imports it too, and starts faster so.
+Importing this package loads neither engine nor scipy: the guard's child process imports it too, and starts faster so.
 """
 
 from importlib import import_module
@@ -13,8 +13,18 @@ if TYPE_CHECKING:
     from gfp_grasp.collision.config import DecomposeConfig
     from gfp_grasp.collision.decomposition import decompose, hull
     from gfp_grasp.collision.levels import part_levels
+    from gfp_grasp.collision.many import decompose_many
 
-__all__ = ["CollisionConfig", "DecomposeConfig", "carry_parts", "collision_of", "decompose", "hull", "part_levels"]
+__all__ = [
+    "CollisionConfig",
+    "DecomposeConfig",
+    "carry_parts",
+    "collision_of",
+    "decompose",
+    "decompose_many",
+    "hull",
+    "part_levels",
+]
 
 _HOMES = {
     "CollisionConfig": "budget",
@@ -22,6 +32,7 @@ _HOMES = {
     "carry_parts": "carry",
     "collision_of": "choice",
     "decompose": "decomposition",
+    "decompose_many": "many",
     "hull": "decomposition",
     "part_levels": "levels",
 }

@@ -77,7 +77,7 @@ def carry_parts(
     """
     primitive = bearer(primitive, len(deformed_local))
     if not primitive.parts:
-        raise InvalidMesh(f"primitive {primitive.category!r} has no convex parts: build it with decompose_fine's")
+        raise InvalidMesh(f"primitive {primitive.category!r} has no convex parts: `gfp-grasp gps parts` makes them")
     vertices = np.asarray(deformed_local, dtype=np.float64)
     if vertices.shape != primitive.vertices.shape or not np.isfinite(vertices).all():
         raise InvalidMesh(f"deformed vertices of shape {vertices.shape} are not finite (v, 3)")

@@ -1,4 +1,4 @@
-"""What CoACD may be asked for, and the limits it runs under."""
+"""What CoACD and V-HACD may be asked for, and the limits they run under."""
 
 from __future__ import annotations
 
@@ -8,7 +8,10 @@ from typing import Literal
 
 from gfp_grasp.errors import InvalidOption
 
-_LIMITS = ("time_limit_s", "memory_limit_mb", "attempts")
+_NOT_COACDS = ("engine", "vhacd_resolution", "time_limit_s", "memory_limit_mb", "attempts", "cache")
+
+# V-HACD knows no "as many as it takes"; these are its own defaults.
+_VHACD_PARTS = _VHACD_VERTICES = 64
 
 
 @dataclass(frozen=True)
@@ -17,10 +20,13 @@ class DecomposeConfig:
 
     Source: https://github.com/SarahWeiii/CoACD (Wei et al., SIGGRAPH 2022).
 
+    V-HACD 4 (https://github.com/kmammou/v-hacd) heeds max_convex_hull, decimate, max_ch_vertex, vhacd_resolution and
+    the limits, and nothing else of these.
+
     Attributes:
         threshold: Concavity that a part may keep, 0.01 to 1, as a share of the mesh scaled into a cube of half-width 1;
             metres under real_metric. Smaller means more parts.
-        max_convex_hull: Most parts, by merging; -1 for no limit.
+        max_convex_hull: Most parts, by merging; -1 for no limit, which with V-HACD is its own 64.
         preprocess_mode: "off" has CoACD take the mesh as it is (`decompose` has made a manifold of it), "on" has CoACD
             remesh it, which inflates thin walls; "auto" is "off" at first, and "on" when that has failed thrice.
         preprocess_resolution: Of the remeshing, 20 to 100.
@@ -31,7 +37,7 @@ class DecomposeConfig:
         pca: Turn the mesh to its principal axes first.
         merge: Merge parts after cutting.
         decimate: Limit the vertices of each part to max_ch_vertex.
-        max_ch_vertex: Most vertices a part, at least 4; only with decimate.
+        max_ch_vertex: Most vertices a part, at least 4; only with decimate. V-HACD keeps to 64 without it.
         extrude: Thicken neighbouring parts along their common faces.
         extrude_margin: How far, in the same unit as threshold; only with extrude.
         apx_mode: Parts are convex hulls ("ch") or boxes ("box").
@@ -40,6 +46,9 @@ class DecomposeConfig:
         time_limit_s: Seconds for all attempts together.
         memory_limit_mb: Address space of the child process in MiB; POSIX only, None for no limit.
         attempts: How often to try before giving up: as it is, with jitter, then coarser.
+        engine: "coacd", or "vhacd" (an extra of this package), whose time hangs on vhacd_resolution.
+        vhacd_resolution: Voxels that V-HACD sees the mesh by, 10 000 to 10 000 000.
+        cache: Keep the parts on disk, and take them from there when the same is asked again; see `store`.
     """
 
     threshold: float = 0.05
@@ -62,6 +71,9 @@ class DecomposeConfig:
     time_limit_s: float = 300.0
     memory_limit_mb: int | None = 4096
     attempts: int = 4
+    engine: Literal["coacd", "vhacd"] = "coacd"
+    vhacd_resolution: int = 400_000
+    cache: bool = True
 
     def __post_init__(self) -> None:
         # The bounds are those that CoACD's command line documents; under real_metric the unit is the mesh's own.
@@ -74,7 +86,7 @@ class DecomposeConfig:
         _whole(self.mcts_nodes, "mcts_nodes", 10, 40)
         _whole(self.mcts_iterations, "mcts_iterations", 60, 2000)
         _whole(self.mcts_max_depth, "mcts_max_depth", 2, 7)
-        for name in ("pca", "merge", "decimate", "extrude", "real_metric"):
+        for name in ("pca", "merge", "decimate", "extrude", "real_metric", "cache"):
             if not isinstance(getattr(self, name), bool):
                 raise InvalidOption(f"{name} is {getattr(self, name)!r}; True or False is expected")
         _whole(self.max_ch_vertex, "max_ch_vertex", 4, 100_000)
@@ -86,10 +98,25 @@ class DecomposeConfig:
             # Below this not even numpy loads, and every attempt would be lost without a word of why.
             _whole(self.memory_limit_mb, "memory_limit_mb", 512, 2**31, "; or None for no limit")
         _whole(self.attempts, "attempts", 1, 20)
+        _choice(self.engine, "engine", ("coacd", "vhacd"))
+        _whole(self.vhacd_resolution, "vhacd_resolution", 10_000, 10_000_000)
 
     def coacd_options(self) -> dict[str, float | int | bool | str]:
         """Keyword arguments of coacd.run_coacd."""
-        return {name: value for name, value in asdict(self).items() if name not in _LIMITS}
+        return {name: value for name, value in asdict(self).items() if name not in _NOT_COACDS}
+
+    def vhacd_options(self) -> dict[str, float | int | bool | str]:
+        """Keyword arguments of vhacdx.compute_vhacd."""
+        return {
+            "maxConvexHulls": _VHACD_PARTS if self.max_convex_hull == -1 else self.max_convex_hull,
+            "maxNumVerticesPerCH": self.max_ch_vertex if self.decimate else _VHACD_VERTICES,
+            "resolution": self.vhacd_resolution,
+            "asyncACD": False,  # its threads share out the work differently each time
+        }
+
+    def engine_options(self) -> dict[str, float | int | bool | str]:
+        """Keyword arguments of the engine's own function."""
+        return self.vhacd_options() if self.engine == "vhacd" else self.coacd_options()
 
 
 def _number(value: object, name: str, low: float, high: float) -> None:

@@ -1,4 +1,4 @@
-"""The parent's side of the child process that runs CoACD: limits, no zombies, a warm child kept for the next job."""
+"""The parent's side of the child that runs an engine: limits, no zombies, a warm child kept for the next job."""
 
 from __future__ import annotations
 
@@ -8,19 +8,31 @@ import subprocess
 import sys
 import tempfile
 import threading
+import time
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import IO
+from typing import IO, Protocol
 
 import numpy as np
 
 from gfp_grasp.collision import pipe
+from gfp_grasp.errors import Cancelled
 
 # Starting costs 0.3 s; two idle children are what a threaded caller can use without hoarding memory.
 _MAX_IDLE = 2
 _START_LIMIT_S = 60.0
+# How long a child may work on after its caller has called it off.
+_POLL_S = 0.05
 _idle: list[_Child] = []
 _lock = threading.Lock()
+
+
+class CancelSign(Protocol):
+    """What tells that a job is called off; a threading.Event is one."""
+
+    def is_set(self) -> bool:
+        """Whether it is."""
+        ...
 
 
 class ChildLostError(Exception):
@@ -32,26 +44,39 @@ class ChildLostError(Exception):
 
 
 def run_guarded(
-    vertices: np.ndarray, faces: np.ndarray, options: dict, *, time_limit_s: float, memory_limit_mb: int | None
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    options: dict,
+    *,
+    time_limit_s: float,
+    memory_limit_mb: int | None,
+    engine: str = "coacd",
+    cancel: CancelSign | None = None,
 ) -> tuple[list[tuple[np.ndarray, np.ndarray]], dict[str, object]]:
-    """Run CoACD once in a child process.
+    """Run an engine once in a child process.
 
     Args:
         vertices: (v, 3) float64.
         faces: (f, 3) integer.
-        options: Keyword arguments of coacd.run_coacd.
+        options: Keyword arguments of coacd.run_coacd or vhacdx.compute_vhacd.
         time_limit_s: The child is killed after this many seconds.
         memory_limit_mb: Address space of the child in MiB, or None.
+        engine: "coacd" or "vhacd".
+        cancel: Once set, the child is killed.
 
     Returns:
         Vertices and faces of each hull, and what the child said: whether the memory limit holds, options unknown to it.
 
     Raises:
         ChildLostError: No answer came; the message says why. The child is gone, and reaped.
+        Cancelled: `cancel` was set. The child is gone, and reaped.
     """
-    child = _take(memory_limit_mb)
+    if cancel is not None and cancel.is_set():
+        raise Cancelled("called off before the child was asked")
+    child = _take(engine, memory_limit_mb)
     try:
-        header, arrays = child.ask({**options}, [vertices.astype(np.float64), faces.astype(np.int32)], time_limit_s)
+        message = {**options}, [vertices.astype(np.float64), faces.astype(np.int32)]
+        header, arrays = child.ask(message, time_limit_s, cancel)
     except BaseException:  # KeyboardInterrupt too: a child that is busy must not outlive its caller's interest
         child.kill()
         raise
@@ -72,18 +97,19 @@ def close_workers() -> None:
 @dataclass(eq=False)
 class _Child:
     process: subprocess.Popen
+    engine: str
     memory_limit_mb: int | None
     log: IO[bytes]
     memory_limit_holds: bool = field(default=False)
 
     @staticmethod
-    def start(memory_limit_mb: int | None) -> _Child:
+    def start(engine: str, memory_limit_mb: int | None) -> _Child:
         limit = [] if memory_limit_mb is None else [str(memory_limit_mb)]
         log = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the child
         try:
             process = subprocess.Popen(
                 # -P: a file in the caller's folder that is called like one of our imports must not be run.
-                [sys.executable, "-P", "-m", "gfp_grasp.collision.worker", *limit],
+                [sys.executable, "-P", "-m", "gfp_grasp.collision.worker", engine, *limit],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=log,
@@ -94,24 +120,32 @@ class _Child:
         except (OSError, ValueError) as error:
             log.close()
             raise ChildLostError(f"{sys.executable!r} could not be started: {error}") from error
-        child = _Child(process, memory_limit_mb, log)
+        child = _Child(process, engine, memory_limit_mb, log)
         try:
-            header, _ = child._answer(_START_LIMIT_S)
+            header, _ = child.ask(None, _START_LIMIT_S, None)
         except BaseException:
             child.kill()
             raise
         child.memory_limit_holds = bool(header["memory_limit"])
         return child
 
-    def ask(self, header: dict, arrays: list[np.ndarray], limit_s: float) -> tuple[dict, list[np.ndarray]]:
-        return self._answer(limit_s, (header, arrays))
+    def ask(
+        self, message: tuple[dict, list[np.ndarray]] | None, limit_s: float, cancel: CancelSign | None
+    ) -> tuple[dict, list[np.ndarray]]:
+        # Killing from a thread bounds writing and reading alike, on every platform: both end when the pipe breaks.
+        watch = _Watch(self.process, limit_s, cancel)
+        try:
+            answer = self._answer(message)
+        except ChildLostError as error:
+            watch.end()
+            watch.tell(error)
+            raise
+        finally:
+            watch.end()
+        watch.tell(None)  # killed in the moment after its answer, it must not be used again
+        return answer
 
-    def _answer(self, limit_s: float, message: tuple[dict, list[np.ndarray]] | None = None) -> tuple[dict, list]:
-        # Killing from a timer bounds writing and reading alike, on every platform: both end when the pipe breaks.
-        out_of_time = threading.Event()
-        timer = threading.Timer(limit_s, lambda: (out_of_time.set(), self.process.kill()))
-        timer.daemon = True
-        timer.start()
+    def _answer(self, message: tuple[dict, list[np.ndarray]] | None) -> tuple[dict, list[np.ndarray]]:
         assert self.process.stdin is not None
         assert self.process.stdout is not None
         try:
@@ -119,12 +153,8 @@ class _Child:
                 pipe.send(self.process.stdin, *message)
             return pipe.receive(self.process.stdout)
         except (EOFError, OSError) as error:
-            if out_of_time.is_set():
-                raise ChildLostError(f"no answer within {limit_s:.3g} s", out_of_time=True) from error
             code = self.process.wait(10)
             raise ChildLostError(f"the child ended with {_exit_name(code)}{self._last_words()}") from error
-        finally:
-            timer.cancel()
 
     def kill(self) -> None:
         self.process.kill()
@@ -147,6 +177,40 @@ class _Child:
         return f": {said}" if said else ""
 
 
+class _Watch:
+    """A thread that kills a process when its time is over or its job is called off."""
+
+    def __init__(self, process: subprocess.Popen, limit_s: float, cancel: CancelSign | None) -> None:
+        self._process, self._limit_s, self._cancel = process, limit_s, cancel
+        self._done = threading.Event()
+        self._out_of_time = self._called_off = False
+        self._thread = threading.Thread(target=self._run, daemon=True)
+        self._thread.start()
+
+    def end(self) -> None:
+        self._done.set()
+        self._thread.join()
+
+    def tell(self, cause: BaseException | None) -> None:
+        """Raise what it killed the process for, if it did."""
+        if self._called_off:
+            raise Cancelled("called off while the child was at work; it was ended") from cause
+        if self._out_of_time:
+            raise ChildLostError(f"no answer within {self._limit_s:.3g} s", out_of_time=True) from cause
+
+    def _run(self) -> None:
+        end = time.monotonic() + self._limit_s
+        while (left := end - time.monotonic()) > 0:
+            if self._cancel is not None and self._cancel.is_set():
+                self._called_off = True
+                break
+            if self._done.wait(min(left, threading.TIMEOUT_MAX if self._cancel is None else _POLL_S)):
+                return
+        else:
+            self._out_of_time = True
+        self._process.kill()
+
+
 def _environment() -> dict[str, str]:
     home = str(Path(__file__).resolve().parents[2])
     path = [home, *(entry for entry in sys.path if entry)]
@@ -166,16 +230,16 @@ def _exit_name(code: int) -> str:
     return f"exit status {code}"
 
 
-def _take(memory_limit_mb: int | None) -> _Child:
+def _take(engine: str, memory_limit_mb: int | None) -> _Child:
     with _lock:
         for child in list(_idle):
             if child.process.poll() is not None:
                 _idle.remove(child)
                 child.forget()
-            elif child.memory_limit_mb == memory_limit_mb:
+            elif (child.engine, child.memory_limit_mb) == (engine, memory_limit_mb):
                 _idle.remove(child)
                 return child
-    return _Child.start(memory_limit_mb)
+    return _Child.start(engine, memory_limit_mb)
 
 
 def _give_back(child: _Child) -> None:

@@ -1,9 +1,9 @@
-"""The child process in which CoACD may abort, hang or run out of memory: `python -m gfp_grasp.collision.worker`.
+"""The child process in which an engine may abort, hang or run out of memory.
 
-Reads jobs from its standard input and writes answers to its standard output, as `pipe` frames them. CoACD logs to
-file descriptor 1 from C++, so that descriptor is turned away to the null device before CoACD is loaded, and the answers
-go out through a copy of it. When the parent goes away, its end of the input closes and the child ends itself, even in
-the midst of a job.
+`python -m gfp_grasp.collision.worker ENGINE [MIB]` reads jobs from its standard input and writes answers to its
+standard output, as `pipe` frames them. CoACD logs to file descriptor 1 from C++, so that descriptor is turned away to
+the null device before the engine is loaded, and the answers go out through a copy of it. When the parent goes away, its
+end of the input closes and the child ends itself, even in the midst of a job.
 """
 
 from __future__ import annotations
@@ -13,32 +13,55 @@ import os
 import queue
 import sys
 import threading
+from collections.abc import Callable
 from typing import IO
 
 import numpy as np
 
 from gfp_grasp.collision import pipe
 
+# Vertices, faces and options to hulls, and the options that were unknown.
+Engine = Callable[[np.ndarray, np.ndarray, dict], tuple[list, list[str]]]
+
 
 def main() -> None:
     """Answer jobs until the input ends."""
     jobs, answers = _take_over_streams()
-    memory = _limit_memory(sys.argv[1:])
-    import coacd  # type: ignore[import-untyped]
-
-    coacd.set_log_level("error")
+    memory = _limit_memory(sys.argv[2:])
+    run = {"coacd": _coacd, "vhacd": _vhacd}[sys.argv[1]]()
     pipe.send(answers, {"ready": True, "memory_limit": memory})
     waiting: queue.SimpleQueue = queue.SimpleQueue()
     threading.Thread(target=_read_jobs, args=(jobs, waiting), daemon=True).start()
-    known = set(inspect.signature(coacd.run_coacd).parameters)
     while True:
         options, (vertices, faces) = waiting.get()
-        unknown = sorted(set(options) - known)
-        # An older CoACD lacks some options; those left at their defaults are no loss.
-        kept = {name: value for name, value in options.items() if name in known}
-        hulls = coacd.run_coacd(coacd.Mesh(vertices, faces), **kept)
+        hulls, unknown = run(vertices, faces, options)
         arrays = [array for points, triangles in hulls for array in (np.asarray(points), np.asarray(triangles))]
         pipe.send(answers, {"num_parts": len(hulls), "unknown": unknown}, arrays)
+
+
+def _coacd() -> Engine:
+    import coacd  # type: ignore[import-untyped]
+
+    coacd.set_log_level("error")
+    known = set(inspect.signature(coacd.run_coacd).parameters)
+
+    def run(vertices: np.ndarray, faces: np.ndarray, options: dict) -> tuple[list, list[str]]:
+        # An older CoACD lacks some options; those left at their defaults are no loss.
+        kept = {name: value for name, value in options.items() if name in known}
+        return coacd.run_coacd(coacd.Mesh(vertices, faces), **kept), sorted(set(options) - known)
+
+    return run
+
+
+def _vhacd() -> Engine:
+    import vhacdx  # type: ignore[import-untyped]
+
+    def run(vertices: np.ndarray, faces: np.ndarray, options: dict) -> tuple[list, list[str]]:
+        # Each face behind the number of its corners, as VTK's vtkPolyData has it.
+        polygons = np.column_stack([np.full(len(faces), 3), faces]).astype(np.uint32).ravel()
+        return vhacdx.compute_vhacd(vertices, polygons, **options), []
+
+    return run
 
 
 def _take_over_streams() -> tuple[IO[bytes], IO[bytes]]:

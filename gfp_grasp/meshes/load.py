@@ -6,11 +6,13 @@ import io
 import re
 import struct
 import zlib
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import trimesh
+from trimesh.exchange.load import mesh_formats
 
 from gfp_grasp.errors import InvalidMesh, UnreadableFile
 
@@ -35,21 +37,22 @@ READER_ERRORS = (
 )
 
 
-def load_mesh(path: str | Path) -> trimesh.Trimesh:
+def load_mesh(path: str | Path, *, suffixes: Sequence[str] = SUFFIXES) -> trimesh.Trimesh:
     """Read one triangle mesh; the pieces of a scene are merged into one, vertices that coincide are joined.
 
     Nothing outside the file is opened: materials, textures and other links are left alone.
 
     Args:
         path: OBJ, STL, PLY, GLB or OFF file, in metres as stored.
+        suffixes: Those that are read; see every_suffix for more.
 
     Raises:
         UnreadableFile: Not there, of another suffix, or not what its suffix says.
         InvalidMesh: It reads, but holds no usable triangles.
     """
     path = Path(path)
-    if path.suffix.lower() not in SUFFIXES:
-        raise UnreadableFile(f"{path.name}: suffix {path.suffix!r} is not among {', '.join(SUFFIXES)}")
+    if path.suffix.lower() not in suffixes:
+        raise UnreadableFile(f"{path.name}: suffix {path.suffix!r} is not among {', '.join(suffixes)}")
     content = read_content(path)
     try:
         mesh = _parse(content, path.suffix.lower()[1:])
@@ -60,6 +63,12 @@ def load_mesh(path: str | Path) -> trimesh.Trimesh:
         return check_mesh(mesh)
     except InvalidMesh as error:
         raise InvalidMesh(f"{path.name}: {error}") from error
+
+
+def every_suffix() -> tuple[str, ...]:
+    """Suffixes of all mesh files that the installed trimesh reads; some need packages that it does not bring along."""
+    names = set(mesh_formats()) - {"stl_ascii", "xyz"}  # no suffix, and points without faces
+    return tuple(sorted({f".{name}" for name in names} | set(SUFFIXES)))
 
 
 def read_content(path: Path) -> bytes:

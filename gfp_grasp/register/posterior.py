@@ -16,15 +16,13 @@ from itertools import pairwise
 
 import numpy as np
 
+from gfp_grasp.register.correspond import correspond
 from gfp_grasp.register.evidence import Evidence
 from gfp_grasp.register.ovality import ovality_gram, scaled_modes
 from gfp_grasp.register.state import ModesConfig, StateBatch
 from gfp_grasp.register.surface import surface_samples
 from gfp_grasp.types import GenericPrimitive
 
-# A difference of normals of one unit (60 degrees) counts like this distance when neighbours are sought (thin walls).
-_NORMAL_LENGTH_M = 0.02
-_MIN_NORMAL_COSINE = 0.5
 _FLOOR_LIMIT = 3.0  # standard deviations beyond which a guessed floor pulls less and less
 _FEET = 6  # lowest samples that stand for what touches the support
 
@@ -206,7 +204,7 @@ def _observed(sums: _Sums, evidence: Evidence, config: ModesConfig, robust_m: fl
     """Observed points lie on the surface; returns the residual (s,) m."""
     surface = sums.surface
     states = np.arange(len(surface.world))
-    index, agrees = _correspond(surface, evidence)
+    index, agrees = correspond(surface.world, surface.normals, evidence)
     normals = surface.normals[states[:, None], index]
     gap = evidence.points - surface.world[states[:, None], index]
     across = np.einsum("sni,sni->sn", normals, gap)
@@ -296,52 +294,6 @@ def _not_oval(sums: _Sums, sigma_m: float) -> None:
     sums.H[:, 6:, 6:] += weighted @ U
     sums.g[:, 6:] -= (weighted @ u[..., None])[..., 0]
     sums.cost += 0.5 * np.einsum("si,ij,sj->s", u, gram, u) / sigma_m**2
-
-
-def _correspond(surface: _Surface, evidence: Evidence) -> tuple[np.ndarray, np.ndarray]:
-    """Nearest sample (s, n) of each point in position and normal, and whether the normals agree.
-
-    Where there is a viewpoint, only samples that face it are asked.
-    """
-    shape = (len(surface.world), len(evidence.points))
-    index, agrees = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=bool)
-    facing = np.ones(surface.world.shape[:2], dtype=bool)
-    if evidence.viewpoint is not None:
-        facing = np.einsum("smi,smi->sm", surface.normals, evidence.viewpoint - surface.world) > 0
-    # Near the origin float32 tells samples apart that lie micrometres from each other.
-    origin = evidence.points.mean(axis=0)
-    features = np.concatenate([surface.world - origin, _NORMAL_LENGTH_M * surface.normals], axis=2, dtype=np.float32)
-    # The largest dot product less half the square is the nearest. For a tree that is asked once these are too few.
-    half = 0.5 * np.einsum("smi,smi->sm", features, features)
-    asked, turned_over = (
-        np.hstack([evidence.points - origin, sign * _NORMAL_LENGTH_M * evidence.normals], dtype=np.float32)
-        for sign in (1.0, -1.0)
-    )
-    for i, faces in enumerate(facing):
-        seen = np.flatnonzero(faces)
-        if len(seen) == 0:
-            continue
-        own, own_half = features[i, seen], half[i, seen]
-        nearest, nearness = _nearest(asked, own, own_half)
-        if not evidence.oriented:
-            other, other_nearness = _nearest(turned_over, own, own_half)
-            nearest = np.where(other_nearness > nearness, other, nearest)
-        index[i] = seen[nearest]
-        cosine = np.einsum("ni,ni->n", evidence.normals, surface.normals[i, index[i]])
-        agrees[i] = (cosine if evidence.oriented else np.abs(cosine)) > _MIN_NORMAL_COSINE
-    return index, agrees
-
-
-def _nearest(asked: np.ndarray, features: np.ndarray, half: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Index (n,) of the features (m, c) nearest to each of (n, c), and how near (n,), more being nearer.
-
-    Args:
-        half: (m,) half the square of each feature.
-    """
-    nearness = asked @ features.T
-    nearness -= half
-    index = nearness.argmax(axis=1)
-    return index, nearness[np.arange(len(index)), index]
 
 
 def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:

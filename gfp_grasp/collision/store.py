@@ -1,0 +1,201 @@
+"""Convex parts kept on disk, each under the hash of all that they depend on: an engine takes seconds to minutes.
+
+The folder is that of the environment variable GFP_GRASP_CACHE ("off" for none), else one in the user's cache folder.
+It holds at most LARGEST_BYTES; what was asked for longest ago goes first. Several processes may share it: a file is
+written aside and moved into its place, and one that is torn, foreign or gone is as if it had never been.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+import sys
+import tempfile
+import time
+import warnings
+import zlib
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import asdict
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from zipfile import BadZipFile
+
+import numpy as np
+import trimesh
+
+from gfp_grasp import __version__
+from gfp_grasp.collision.config import DecomposeConfig
+from gfp_grasp.types import CollisionMesh, ConvexPart
+
+CACHE_VARIABLE = "GFP_GRASP_CACHE"  # a folder, or "off"
+LARGEST_BYTES = 256 * 2**20  # some 20 000 decompositions of 40 parts
+_FORMAT = "2"  # raise it when the files change, or when the same call gives other parts
+_WHEELS = {"coacd": "coacd", "vhacd": "vhacdx"}
+# Nothing else in the folder is ours to remove.
+_OURS = re.compile(r"[0-9a-f]{64}\.npz|[0-9a-f]{64}-\w+\.tmp")
+_ABANDONED_S = 3600.0  # a file that is being written is done long before
+_BROKEN = (
+    ArithmeticError,
+    AttributeError,
+    BadZipFile,
+    EOFError,
+    LookupError,
+    MemoryError,
+    OSError,
+    RuntimeError,
+    TypeError,
+    ValueError,
+    zlib.error,
+)
+_warned: set[str] = set()
+
+
+def decomposition_key(mesh: trimesh.Trimesh, config: DecomposeConfig) -> str:
+    """Of vertices, faces, all options, the engine and its version: 64 hexadecimal digits."""
+    options = {name: value for name, value in asdict(config).items() if name != "cache"}
+    try:
+        wheel = version(_WHEELS[config.engine])
+    except PackageNotFoundError:  # built by hand, without metadata
+        wheel = ""
+    head = [_FORMAT, __version__, wheel, options, len(mesh.vertices), len(mesh.faces)]
+    digest = hashlib.sha256(json.dumps(head, sort_keys=True).encode())
+    digest.update(np.asarray(mesh.vertices, dtype="<f8").tobytes())
+    digest.update(np.asarray(mesh.faces, dtype="<i8").tobytes())
+    return digest.hexdigest()
+
+
+def key_of(text: str) -> str:
+    """The key of whatever else has been put into words: 64 hexadecimal digits."""
+    return hashlib.sha256(f"{_FORMAT}/{text}".encode()).hexdigest()
+
+
+def read_parts(key: str) -> CollisionMesh | None:
+    """What is kept under a key; None where nothing usable is."""
+    folder = cache_folder()
+    if folder is None:
+        return None
+    path = folder / f"{key}.npz"
+    try:
+        with np.load(path, allow_pickle=False) as file:
+            found = _unpacked(key, file)
+    except _BROKEN:
+        return None
+    with suppress(OSError):
+        os.utime(path)  # asked for now: others go first
+    return found
+
+
+def write_parts(key: str, collision: CollisionMesh) -> None:
+    """Keep parts under a key; where nothing can be written, a warning, once a folder, is all that comes of it."""
+    folder = cache_folder()
+    if folder is None:
+        return
+    temporary = None
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        handle, temporary = tempfile.mkstemp(dir=folder, prefix=f"{key}-", suffix=".tmp")
+        with os.fdopen(handle, "wb") as file:
+            np.savez_compressed(file, **_packed(key, collision))  # pyright: ignore[reportArgumentType]
+        os.replace(temporary, folder / f"{key}.npz")
+        temporary = None
+        _make_room(folder)
+    except OSError as error:
+        if str(folder) not in _warned:
+            _warned.add(str(folder))
+            warnings.warn(
+                f"convex parts cannot be kept in {folder} ({error.strerror or error}) and are computed each time: name "
+                f"a folder that is yours in {CACHE_VARIABLE}, or turn this off with {CACHE_VARIABLE}=off",
+                RuntimeWarning,
+                stacklevel=3,
+            )
+    finally:
+        if temporary is not None:  # KeyboardInterrupt, too
+            with suppress(OSError):
+                os.unlink(temporary)
+
+
+def cache_folder() -> Path | None:
+    """Where parts are kept; None where nothing shall be, or nobody knows where the user is at home."""
+    chosen = os.environ.get(CACHE_VARIABLE)
+    if chosen == "off":
+        return None
+    try:
+        if chosen:
+            return Path(chosen).expanduser()
+        if sys.platform == "win32":
+            root = os.environ.get("LOCALAPPDATA") or Path.home() / "AppData" / "Local"
+        elif sys.platform == "darwin":
+            root = Path.home() / "Library" / "Caches"
+        else:
+            root = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
+    except RuntimeError:
+        return None
+    return Path(root) / "gfp_grasp" / "parts"
+
+
+def _packed(key: str, collision: CollisionMesh) -> dict[str, np.ndarray]:
+    meta = {
+        "key": key,
+        "error_m": [float(error) for error in collision.error_m],
+        "made_by": collision.made_by,
+        "seconds": float(collision.seconds),
+        "notes": {name: _plain(value) for name, value in collision.notes.items()},
+    }
+    return {
+        "vertices": np.concatenate([part.vertices for part in collision.parts]),
+        "faces": np.concatenate([part.faces for part in collision.parts]).astype(np.int32),
+        "num_vertices": np.array([len(part.vertices) for part in collision.parts]),
+        "num_faces": np.array([len(part.faces) for part in collision.parts]),
+        "meta": np.array(json.dumps(meta, default=str)),
+    }
+
+
+def _plain(value: object) -> object:
+    if isinstance(value, np.generic):
+        return value.item()
+    return value if isinstance(value, bool | int | float | str | tuple | list | None) else str(value)
+
+
+def _unpacked(key: str, file: Mapping[str, np.ndarray]) -> CollisionMesh | None:
+    """None where a file of the right form is not the one that was asked for, or its parts cannot be."""
+    meta = json.loads(str(file["meta"]))
+    vertices, faces = file["vertices"], file["faces"]
+    num_vertices, num_faces = file["num_vertices"], file["num_faces"]
+    if meta["key"] != key or vertices.dtype.kind != "f" or faces.dtype.kind != "i" or len(num_vertices) == 0:
+        return None
+    if len(num_vertices) != len(num_faces) or num_vertices.min() < 4 or num_faces.min() < 4:
+        return None
+    if vertices.shape != (num_vertices.sum(), 3) or faces.shape != (num_faces.sum(), 3):
+        return None
+    beyond = faces.max(axis=1) >= num_vertices.repeat(num_faces)
+    if not np.isfinite(vertices).all() or faces.min() < 0 or beyond.any():
+        return None
+    clouds = np.split(vertices, np.cumsum(num_vertices)[:-1])
+    parts = tuple(map(ConvexPart, clouds, np.split(faces, np.cumsum(num_faces)[:-1])))
+    mean, high, largest = map(float, meta["error_m"])
+    notes = {name: tuple(value) if isinstance(value, list) else value for name, value in meta["notes"].items()}
+    return CollisionMesh(parts, (mean, high, largest), meta["made_by"], float(meta["seconds"]), notes)
+
+
+def _make_room(folder: Path) -> None:
+    """Remove what was asked for longest ago, and what a killed process left half written."""
+    kept, now = [], time.time()
+    for entry in os.scandir(folder):
+        if not _OURS.fullmatch(entry.name):
+            continue
+        with suppress(OSError):  # another process may have been first
+            status = entry.stat()
+            if entry.name.endswith(".npz"):
+                kept.append((status.st_mtime, status.st_size, entry.path))
+            elif now - status.st_mtime > _ABANDONED_S:
+                os.unlink(entry.path)
+    excess = sum(size for _, size, _ in kept) - LARGEST_BYTES
+    for _, size, path in sorted(kept):
+        if excess <= 0:
+            return
+        with suppress(OSError):
+            os.unlink(path)
+        excess -= size
