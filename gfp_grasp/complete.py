@@ -246,7 +246,7 @@ def _complete(detection: Detection, config: CompleteConfig, seed: int) -> Comple
         fit=replace(fit, T_world_object=T_world_here @ fit.T_world_object),
         timings_s=clock.laps,
     )
-    return Completion(shape, detection, config.collision)
+    return Completion(shape, detection, collision_config=config.collision)
 
 
 def _best_fit(detection: Detection, config: CompleteConfig) -> FittedPrimitive:

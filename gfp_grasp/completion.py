@@ -26,7 +26,7 @@ class Completion:
 
     shape: CompletedShape
     detection: Detection
-    collision_config: CollisionConfig = field(default_factory=CollisionConfig)
+    collision_config: CollisionConfig = field(default_factory=CollisionConfig, kw_only=True)
 
     @property
     def mesh(self) -> trimesh.Trimesh:

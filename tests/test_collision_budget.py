@@ -14,7 +14,15 @@ from gfp_grasp.collision.convex import Halfspaces, convex_part, volume_m3
 from gfp_grasp.collision.merging import groups_of, merge_tree
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.primitives import load_primitive
-from gfp_grasp.types import ConvexPart
+from gfp_grasp.types import CompletedShape, ConvexPart, FittedPrimitive, GenericPrimitive
+
+
+def as_it_is(template: GenericPrimitive) -> CompletedShape:
+    """A completed shape that is a primitive's own mean."""
+    mesh = trimesh.Trimesh(template.vertices, template.faces, process=False)
+    v, k = len(mesh.vertices), len(template.modes)
+    fit = FittedPrimitive(template, np.eye(4), np.ones(3), np.zeros(k), 0.0)
+    return CompletedShape(mesh=mesh, observed=np.ones(v, bool), sigma_m=np.ones(v), fit=fit, timings_s={})
 
 
 def boxes_in_a_row(count: int) -> tuple[ConvexPart, ...]:
@@ -69,8 +77,7 @@ def test_a_budget_is_met_exactly(parts, vertices):
 def test_fewer_parts_of_a_shipped_primitive_are_farther_off(category):
     template = load_primitive(category)
     assert len(template.part_errors_m) == len(template.parts) == len(template.part_merges) + 1
-    mesh = trimesh.Trimesh(template.vertices, template.faces, process=False)
-    few, many = (collision_of(completed(mesh, template), config=CollisionConfig(max_parts=n)) for n in (24, 64))
+    few, many = (collision_of(as_it_is(template), config=CollisionConfig(max_parts=n)) for n in (24, 64))
     assert len(few.parts) <= 24
     assert len(many.parts) <= 64
     assert many.error_m[0] <= few.error_m[0] + 3e-5
@@ -78,10 +85,9 @@ def test_fewer_parts_of_a_shipped_primitive_are_farther_off(category):
 
 def test_a_tolerance_takes_as_few_parts_as_keep_it():
     template = load_primitive("mug")
-    mesh = trimesh.Trimesh(template.vertices, template.faces, process=False)
     counts = []
     for tolerance_m in (0.004, 0.002):
-        found = collision_of(completed(mesh, template), config=CollisionConfig(max_parts=128, tolerance_m=tolerance_m))
+        found = collision_of(as_it_is(template), config=CollisionConfig(max_parts=128, tolerance_m=tolerance_m))
         assert found.made_by == "carried"
         assert found.error_m[1] <= tolerance_m
         counts.append(len(found.parts))

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 
 import numpy as np
-from scipy.spatial import ConvexHull, QhullError
 
 from gfp_grasp.errors import InvalidOption
+
+_MANY = 8
 
 
 @dataclass(frozen=True)
@@ -22,7 +24,7 @@ class CollisionConfig:
             are taken. None takes as many of max_parts as make a difference.
     """
 
-    max_parts: int = 48
+    max_parts: int = 64
     max_vertices_per_part: int | None = 64
     tolerance_m: float | None = None
 
@@ -48,17 +50,15 @@ def fewer_corners(corners: np.ndarray, count: int) -> np.ndarray:
         (count, 3) of them, in their order.
     """
     centred = corners - corners.mean(axis=0)
-    # The farthest in even directions, of which some are the same, then those that are farthest out of their hull.
+    # The farthest in even directions, of which some are the same; then those that are so in most of many directions,
+    # which means that the hull bends much there.
     chosen = list(dict.fromkeys((centred @ _directions(count).T).argmax(axis=0).tolist()))
-    while len(chosen) < count:
-        try:
-            planes = ConvexHull(centred[chosen]).equations
-        except QhullError:  # fewer than four, or in one plane
-            chosen.append(_farthest_from_flat(centred, chosen))
-            continue
-        outside = (centred @ planes[:, :3].T + planes[:, 3]).max(axis=1)
-        outside[chosen] = -np.inf
-        chosen += np.argsort(-outside, kind="stable")[: max(1, (count - len(chosen)) // 2)].tolist()
+    many = np.bincount((centred @ _directions(_MANY * count).T).argmax(axis=0), minlength=len(corners))
+    many[chosen] = -1
+    chosen += np.argsort(-many, kind="stable")[: count - len(chosen)].tolist()
+    own = centred[chosen] - centred[chosen].mean(axis=0)
+    if np.linalg.matrix_rank(own) < 3:
+        chosen[-1] = _farthest_from_flat(centred, chosen[:-1])
     return corners[sorted(chosen)]
 
 
@@ -73,6 +73,7 @@ def _farthest_from_flat(points: np.ndarray, chosen: list[int]) -> int:
     return int(distance.argmax())
 
 
+@cache
 def _directions(count: int) -> np.ndarray:
     """(count, 3) unit vectors, spread evenly: a Fibonacci spiral."""
     height = 1 - (2 * np.arange(count) + 1) / count

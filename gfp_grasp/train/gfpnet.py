@@ -37,7 +37,7 @@ from gfp_grasp.types import FittedPrimitive, GenericPrimitive
 DEFAULTS: dict[Variant, LoopConfig] = {
     "patch": LoopConfig(steps=8000, batch=16, rate=1e-3, decay=0.7, weight_decay=0.01),  # a batch of whole objects
     # The paper's optimiser, rate and batch; steps are ours.
-    "paper-iterative": LoopConfig(steps=1000, batch=256),
+    "paper-iterative": LoopConfig(steps=400, batch=256),
     "paper-oneshot": LoopConfig(steps=1500, batch=256),
 }
 _CHAMFER_SHARE = 0.7  # the paper's loss: 0.7 Chamfer distance + 0.3 Laplacian
