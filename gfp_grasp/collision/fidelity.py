@@ -60,8 +60,8 @@ def union_error_m(
     mesh_triangles = np.asarray(mesh.triangles)
     mesh_anchors, triangle, sampled = _anchors(mesh_triangles, count, rng)
     of_mesh = mesh_anchors[sampled]
-    to_mesh = _feet(of_union, mesh_anchors, mesh_triangles[triangle])[1].min(axis=1)
-    feet, distance = _feet(of_mesh, anchors, union_triangles)
+    to_mesh = _to_outside(of_union, mesh_anchors, mesh_triangles[triangle], deep_m=2 * step)
+    feet, distance, _ = _feet(of_mesh, anchors, union_triangles)
     nearest = np.take_along_axis(feet, distance.argmin(axis=1)[:, None, None], axis=1)[:, 0]
     # A foot on the hidden stretch of a triangle is no surface: another foot that is, or the nearest anchor, stands in.
     hidden = np.flatnonzero(planes.within(nearest, margin_m=-step).any(axis=1))
@@ -115,13 +115,26 @@ def _samples(triangles: np.ndarray, count: int, rng: np.random.Generator) -> tup
     return (1 - u) * a + u * (1 - v) * b + u * v * c, index
 
 
-def _feet(points: np.ndarray, anchors: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Nearest places (n, k, 3) to points on the triangles of their nearest anchors, and distances (n, k)."""
+def _to_outside(points: np.ndarray, anchors: np.ndarray, triangles: np.ndarray, *, deep_m: float) -> np.ndarray:
+    """Distances (m,) to a closed surface of those of the points that are not deeper within it than deep_m.
+
+    Faces in there are cracks between parts, which nothing can reach; a hole in the union shows from the other side.
+    """
+    feet, distance, near = _feet(points, anchors, triangles)
+    best = distance.argmin(axis=1)
+    rows = np.arange(len(points))
+    away = np.einsum("ni,ni->n", points - feet[rows, best], _normals(triangles[near[rows, best]]))
+    distance = distance[rows, best]
+    outside = ~((away < 0) & (distance > deep_m))
+    return distance[outside] if outside.any() else distance
+
+
+def _feet(points: np.ndarray, anchors: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Nearest places (n, k, 3) to points on the triangles of their nearest anchors, distances and anchors (n, k)."""
     k = min(_NEIGHBOURS, len(anchors))
-    _, near = KDTree(anchors).query(points, k=k)
-    near = near.reshape(len(points), k)
+    near = np.reshape(KDTree(anchors).query(points, k=k)[1], (len(points), k))
     feet = trimesh.triangles.closest_point(triangles[near.ravel()], np.repeat(points, k, axis=0)).reshape(-1, k, 3)
-    return feet, np.linalg.norm(feet - points[:, None], axis=2)
+    return feet, np.linalg.norm(feet - points[:, None], axis=2), near
 
 
 def _cross(triangles: np.ndarray) -> np.ndarray:

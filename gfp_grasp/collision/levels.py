@@ -8,7 +8,7 @@ import numpy as np
 import trimesh
 
 from gfp_grasp.collision.config import DecomposeConfig
-from gfp_grasp.collision.convex import convex_part
+from gfp_grasp.collision.convex import convex_part, convex_parts
 from gfp_grasp.collision.decomposition import decompose
 from gfp_grasp.collision.fidelity import union_error_m
 from gfp_grasp.collision.merging import groups_of, merge_tree
@@ -17,6 +17,8 @@ from gfp_grasp.types import ConvexPart
 # Of a mug's mean: 121 parts at 0.02, which miss it by 0.2 mm on average. A bottle has few at that.
 _THRESHOLDS = (0.02, 0.01)
 _FEWEST, _MOST = 32, 128
+# CoACD cuts through every triangle that a plane meets: of a bottle's part of 83 corners 64 say nearly as much.
+_MOST_VERTICES = 64
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +53,12 @@ def part_levels(mesh: trimesh.Trimesh) -> PartLevels:
         parts = decompose(mesh, config=DecomposeConfig(threshold=threshold, time_limit_s=1800.0)).parts
         if len(parts) >= _FEWEST:
             break
+    return levels_of(parts, mesh)
+
+
+def levels_of(parts: tuple[ConvexPart, ...], mesh: trimesh.Trimesh) -> PartLevels:
+    """Levels of parts that a mesh was decomposed into."""
+    parts, _ = convex_parts((part.vertices for part in parts), max_vertices=_MOST_VERTICES)
     parts = _merged(parts, merge_tree(parts), _MOST)
     merges = merge_tree(parts)
     errors = [
