@@ -1,6 +1,7 @@
 """V-HACD, several meshes at once, and jobs that are called off."""
 
 import importlib.util
+import signal
 import subprocess
 import sys
 import threading
@@ -10,7 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from test_collision_guard import LINUX, children, wait_for
+from test_collision_guard import LINUX, children, runs, wait_for
 
 from gfp_grasp.collision import DecomposeConfig, decompose, decompose_many
 from gfp_grasp.collision.guard import close_workers
@@ -131,6 +132,24 @@ def test_closing_the_stream_ends_the_children_at_work():
     assert time.monotonic() - started < 8
     close_workers()  # the one that the box has left idle
     assert children() == before
+
+
+@LINUX
+def test_ctrl_c_ends_the_children_at_work(tmp_path: Path):
+    start = "import signal; signal.signal(signal.SIGINT, signal.default_int_handler)"  # background jobs ignore it
+    (tmp_path / "script.py").write_text(f"{start}\n{SCRIPT.format(body=LEFT)}\nprint(list(stream))\n")
+    caller = subprocess.Popen(
+        [sys.executable, "-P", tmp_path / "script.py"], stdout=subprocess.PIPE, stderr=subprocess.PIPE
+    )
+    assert caller.stdout is not None
+    assert wait_for(lambda: len(children(caller.pid)) == 2)
+    time.sleep(2)
+    at_work = children(caller.pid)
+    assert len(at_work) == 2
+    caller.send_signal(signal.SIGINT)
+    _, said = caller.communicate(timeout=20)
+    assert b"KeyboardInterrupt" in said
+    assert wait_for(lambda: not any(runs(pid) for pid in at_work))
 
 
 SCRIPT = """

@@ -30,8 +30,8 @@ from gfp_grasp.meshes import check_mesh, make_solid
 from gfp_grasp.types import CollisionMesh, ConvexPart
 
 BAD = ("crash", "hang", "invalid", "zombie")
-# What a step may take beyond its own limit before it counts as a hang: the repair of a soup of triangles, which is under
-# no limit, is 15 s of work for a core that has nothing else to do.
+# What a step may take beyond its own limit before it counts as a hang: the repair of a soup of triangles, which has
+# none, is 15 s of work for a core that has nothing else to do.
 _MARGIN_S = 100.0
 _VALIDATION_LIMIT_S = 20.0
 _FLAT = 1e-6  # share of a part's size by which its own corners may stand out of its faces
