@@ -57,6 +57,11 @@ def test_sample_capture_is_completed_into_every_format(tmp_path: Path, capsys: p
         (("complete", "sample", "-o", "a.glb", "--viewpoint", "1,2"), "three numbers"),
         (("complete", "sample", "-o", "a.glb", "--category", "teapot"), "teapot"),
         (("decompose", "nowhere.stl", "-o", "a.xml"), "nowhere.stl"),
+        (("decompose", "nowhere.docx", "-o", "a.xml"), ".docx"),
+        (("decompose", "a.stl", "-o", "a.xml", "--engine", "magic"), "coacd, vhacd"),
+        (("decompose", "a.stl", "-o", "a.xml", "--threshold", "2"), "threshold"),
+        (("decompose", "a.stl", "-o", "a.xml", "--max-parts", "0"), "max_convex_hull"),
+        (("decompose", "a.stl", "-o", "a.xml", "--time-limit", "0"), "time_limit_s"),
         (("score", "--objects", "nowhere"), "nowhere"),
         (("score", "--objects", "cup", "--completers", "magic"), "magic"),
         (("gps", "show", "teapot"), "teapot"),
@@ -140,6 +145,24 @@ def test_decompose_writes_parts_that_are_convex(tmp_path: Path) -> None:
     assert run("decompose", tmp_path / "box.stl", "-o", tmp_path / "parts.ply") == 0
     parts = trimesh.load_mesh(tmp_path / "parts.ply")
     np.testing.assert_allclose(parts.volume, 0.05 * 0.04 * 0.03, rtol=1e-2)
+
+
+def test_decompose_heeds_its_options_tells_its_stages_and_says_when_the_cache_answered(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("GFP_GRASP_CACHE", str(tmp_path / "cache"))
+    ring = trimesh.creation.annulus(0.02, 0.05, 0.02, sections=12)
+    ring.export(tmp_path / "ring.3mf" if "3mf" in trimesh.available_formats() else tmp_path / "ring.off")
+    (file,) = tmp_path.glob("ring.*")
+    words = ("decompose", file, "-o", tmp_path / "ring.xml", "--threshold", 0.3, "--max-parts", 3, "--time-limit", 90)
+    said = []
+    for more in ((), (), ("--no-cache",)):
+        assert run(*words, *more) == 0
+        said.append(capsys.readouterr())
+    assert ["from the cache" in outputs.out for outputs in said] == [False, True, False]
+    assert "of 90 s" in said[0].err
+    assert len(list(tmp_path.glob("cache/*.npz"))) == 1
+    assert (tmp_path / "ring.xml").read_text(encoding="utf-8").count('type="mesh"') <= 4
 
 
 @pytest.mark.slow

@@ -209,6 +209,21 @@ def test_a_mesh_in_no_known_unit_is_refused_as_too_small():
         hull(trimesh.creation.box((0.1, 0.1, 1e-6)))
 
 
+@pytest.mark.parametrize("offset_m", [300.0, 5e4, 1e7])
+def test_parts_far_from_the_origin_are_what_float32_leaves_of_them_or_refused(offset_m):
+    far = corner().apply_translation([offset_m, 0, 0])
+    if offset_m > 1e5:  # nothing but one point is left
+        with pytest.raises(InvalidMesh, match="from the origin"):
+            hull(far)
+        return
+    spec = mujoco.MjSpec()
+    for index, part in enumerate(hull(far).parts):
+        np.testing.assert_array_equal(part.vertices, part.vertices.astype(np.float32))
+        spec.add_mesh(name=f"hull_{index}", uservert=part.vertices.ravel(), userface=part.faces.ravel())
+        spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname=f"hull_{index}")
+    spec.compile()
+
+
 def test_what_does_not_fit_into_the_time_limit_is_named():
     with pytest.raises(DecompositionFailed, match="time_limit_s"):
         decompose(cup(64), config=DecomposeConfig(time_limit_s=0.05, cache=False))

@@ -170,6 +170,38 @@ def registration(
     save_json(json_file, report)
 
 
+@bench.command()
+def hostile(
+    count: Annotated[int, typer.Option(min=0, help="Meshes that are checked and repaired or hulled.")] = 10_000,
+    coacd: Annotated[int, typer.Option(min=0, help="Meshes that are decomposed.")] = 1000,
+    workers: Annotated[int, typer.Option(min=1, help="Processes.")] = 1,
+    json_file: JsonFile = None,
+    resume: Annotated[bool, typer.Option("--resume", help="Keep what the --json file has of the same seed.")] = False,
+    seed: Seed = 0,
+) -> None:
+    """Broken meshes through checks, repair and CoACD: exit status 1 if any crashed, hung or gave something invalid."""
+    from gfp_grasp.bench.hostile import HostileBench, bench_hostile
+
+    known = json.loads(json_file.read_text()) if resume and json_file is not None and json_file.is_file() else None
+    report = bench_hostile(
+        config=HostileBench(count, coacd, seed),
+        known=known,
+        workers=workers,
+        progress=track("meshes"),
+        save=lambda so_far: save_json(json_file, so_far),
+    )
+    save_json(json_file, report)
+    rows, bad = report["rows"], report["bad"]
+    assert isinstance(rows, Mapping)
+    assert isinstance(bad, Mapping)
+    for step, kinds in rows.items():
+        told = [(kind, ", ".join(f"{name} {n}" for name, n in sorted(of.items()))) for kind, of in kinds.items()]
+        table(("kind", "outcomes"), told, title=str(step), words=2)
+    out.print(", ".join(f"{name} {n}" for name, n in bad.items()))
+    if any(bad.values()):
+        raise typer.Exit(1)
+
+
 def _fit_figures(row: Mapping) -> tuple[str, ...]:
     def text(key: str, style: str, factor: float = 1.0) -> str:
         return "" if row[key] is None else format(factor * row[key], style)

@@ -26,6 +26,8 @@ _SHARE_OF_TIME = 0.6
 # Breaks exact coplanarity, on which CoACD aborts; 1e-6 of a mug is 0.1 micrometre.
 _JITTER = 1e-6
 _LEAST_VOXELS = 10_000
+# MuJoCo keeps meshes in float32, which is 0.001 mm coarse here: further out, parts are made of what is left there.
+_NEAR_M = 10.0
 _NAMES = {"coacd": "CoACD", "vhacd": "V-HACD"}
 
 TellStage = Callable[[str], object]
@@ -127,7 +129,8 @@ def _attempted(
             hurried = hurried or error.out_of_time
             step = max(step + 1, 2) if error.out_of_time else step + 1  # jitter cures crashes, not slowness
             continue
-        parts, dropped = convex_parts(_within_budget([points for points, _ in hulls], config), max_vertices=most)
+        clouds = _within_budget([_as_kept(points) for points, _ in hulls], config)
+        parts, dropped = convex_parts(clouds, max_vertices=most)
         if not parts:
             lost.append(f"all {dropped} parts were slivers")
             step += 1
@@ -174,14 +177,19 @@ def hull(mesh: trimesh.Trimesh, *, max_vertices: int | None = None) -> Collision
 
 
 def _whole_hull(mesh: trimesh.Trimesh, max_vertices: int | None = None) -> ConvexPart:
-    part = convex_part(np.asarray(mesh.vertices), max_vertices=max_vertices)
+    part = convex_part(_as_kept(np.asarray(mesh.vertices)), max_vertices=max_vertices)
     if part is None:
         extents = " x ".join(f"{extent:.3g}" for extent in np.ptp(mesh.vertices, axis=0))
         raise InvalidMesh(
-            f"mesh of {extents} m is flat or smaller than what MuJoCo can hold: "
-            "0.1 mm of thickness and 0.1 mm3 are needed; are the units metres?"
+            f"mesh of {extents} m, {np.abs(mesh.vertices).max():.3g} m from the origin, is flat or smaller than what "
+            "MuJoCo's float32 can hold: 0.1 mm of thickness and 0.1 mm3 are needed; are the units metres?"
         )
     return part
+
+
+def _as_kept(points: np.ndarray) -> np.ndarray:
+    far = len(points) and np.abs(points).max() > _NEAR_M
+    return points.astype(np.float32).astype(np.float64) if far else points
 
 
 def _used(mesh: trimesh.Trimesh) -> trimesh.Trimesh:

@@ -94,6 +94,12 @@ def close_workers() -> None:
         child.kill()
 
 
+def idle_pids() -> set[int]:
+    """Process ids of the living children that wait for the next job."""
+    with _lock:
+        return {child.process.pid for child in _idle if child.process.poll() is None}
+
+
 @dataclass(eq=False)
 class _Child:
     process: subprocess.Popen

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import manifold3d
 import numpy as np
 import trimesh
@@ -14,8 +16,11 @@ from gfp_grasp.meshes.surface import sample_surface, vertex_normals
 NUM_CELLS = 96
 # Half of the wall that a sheet gets, in cells: below about 0.9 the grid lets it break up.
 _HALF_WALL = 0.9
-# What thinning may move the surface, in cells, in the order in which it is tried: nearly always the first will do.
-_THINNING = (0.2, 0.3, 0.4, 0.1, 0.6)
+# What thinning may move the surface, in cells, in the order in which it is tried: nearly always the first will do. In
+# soups of triangles none does; at 0.05, half of the faces stay, which only the coarse grid can afford.
+_THINNING = (0.2, 0.3, 0.4, 0.1)
+_THINNING_COARSE = (*_THINNING, 0.05, 0.0)
+_FEW = 8  # crossings that another share may be without; more never were gone
 # Kuhn's six tetrahedra of a cube around its diagonal 0-7; corner i is (i & 1, i >> 1 & 1, i >> 2).
 _TETRAHEDRA = np.array([[0, 1, 3, 7], [0, 3, 2, 7], [0, 2, 6, 7], [0, 6, 4, 7], [0, 4, 5, 7], [0, 5, 1, 7]])
 
@@ -24,9 +29,20 @@ def remeshed(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     """Watertight surface around a mesh in any state.
 
     A sheet becomes a wall about two cells thick, a cell being 1/96 of the longest side; what is sealed off from the
-    outside becomes solid, and there the surface is set back to where it was.
+    outside becomes solid, and there the surface is set back to where it was. Where thinning fails, as with soups of
+    triangles, the cells are twice as large: half a million faces would be of no use to anyone.
     """
-    cell = float(mesh.extents.max()) / NUM_CELLS
+    fine = _from_grid(mesh, NUM_CELLS, _THINNING)
+    if fine is not None:
+        return fine
+    coarse = _from_grid(mesh, NUM_CELLS // 2, _THINNING_COARSE)
+    assert coarse is not None  # no thinning at all is the last that is tried
+    return coarse
+
+
+def _from_grid(mesh: trimesh.Trimesh, num_cells: int, thinning: Sequence[float]) -> trimesh.Trimesh | None:
+    """None where no thinning keeps the faces from crossing."""
+    cell = float(mesh.extents.max()) / num_cells
     half_wall = _HALF_WALL * cell
     origin = mesh.bounds[0] - 4 * cell
     shape = np.ceil((mesh.extents + 8 * cell) / cell).astype(int) + 1
@@ -36,8 +52,8 @@ def remeshed(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     ndimage.label(clear, output=pieces)
     sealed = clear & (pieces != pieces[0, 0, 0])
     vertices, faces = _level(np.where(sealed, -half_wall, distance - half_wall))
-    solid = _thinned(origin + cell * vertices, faces, cell)
-    return _set_back(solid, sealed, origin, cell, half_wall)
+    solid = _thinned(origin + cell * vertices, faces, cell, thinning)
+    return None if solid is None else _set_back(solid, sealed, origin, cell, half_wall)
 
 
 def _distances(
@@ -105,12 +121,17 @@ def _set_back(
     return candidate if len(crossing_faces(moved, solid.faces)) == 0 else solid
 
 
-def _thinned(vertices: np.ndarray, faces: np.ndarray, cell: float) -> trimesh.Trimesh:
+def _thinned(vertices: np.ndarray, faces: np.ndarray, cell: float, thinning: Sequence[float]) -> trimesh.Trimesh | None:
     """Far fewer faces; each vertex moves by a fraction of a cell, and the mesh stays a volume without crossings."""
     dense = manifold3d.Manifold(manifold3d.Mesh64(np.ascontiguousarray(vertices), faces.astype(np.uint64, order="C")))
-    for share in _THINNING:
+    for share in thinning:
+        if share == 0.0:
+            return trimesh.Trimesh(vertices, faces, process=False)
         raw = dense.simplify(share * cell).to_mesh64()
         thin = np.asarray(raw.vert_properties)[:, :3], np.asarray(raw.tri_verts).astype(np.int64)
-        if len(thin[1]) and len(crossing_faces(*thin)) == 0:
+        num_crossing = len(crossing_faces(*thin))
+        if len(thin[1]) and num_crossing == 0:
             return trimesh.Trimesh(*thin, process=False)
-    return trimesh.Trimesh(vertices, faces, process=False)
+        if num_crossing > _FEW and thinning[-1] > 0.0:
+            return None
+    return None

@@ -1,0 +1,187 @@
+"""Parts kept on disk: found again, kept apart, and never in the way."""
+
+import multiprocessing
+import os
+import time
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import trimesh
+
+from gfp_grasp.collision import DecomposeConfig, decompose, hull, store
+from gfp_grasp.collision.guard import ChildLostError, run_guarded
+from gfp_grasp.collision.store import CACHE_VARIABLE, decomposition_key, key_of, read_parts, write_parts
+from gfp_grasp.types import CollisionMesh
+
+QUICK = DecomposeConfig(mcts_iterations=60, mcts_nodes=10, resolution=1000)
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "parts"))
+    return tmp_path / "parts"
+
+
+def box(size: float = 0.1) -> trimesh.Trimesh:
+    return trimesh.creation.box((size, 0.08, 0.06))
+
+
+def same(one: CollisionMesh, other: CollisionMesh) -> bool:
+    return (one.error_m, one.made_by, len(one.parts)) == (other.error_m, other.made_by, len(other.parts)) and all(
+        np.array_equal(a.vertices, b.vertices) and np.array_equal(a.faces, b.faces)
+        for a, b in zip(one.parts, other.parts, strict=True)
+    )
+
+
+def test_the_same_call_is_answered_from_disk_with_the_same_bits():
+    first, again = decompose(box(), config=QUICK), decompose(box(), config=QUICK)
+    assert (first.notes["cached"], again.notes["cached"]) == (False, True)
+    assert same(first, again)
+    assert {**again.notes, "cached": False} == dict(first.notes)
+    assert again.seconds < first.seconds
+
+
+def test_without_the_cache_nothing_is_read_or_written(folder: Path):
+    for _ in range(2):
+        assert decompose(box(), config=replace(QUICK, cache=False)).notes["cached"] is False
+    assert not folder.exists()
+
+
+def test_every_option_and_every_number_of_the_mesh_makes_another_key(monkeypatch: pytest.MonkeyPatch):
+    moved = box()
+    moved.vertices[0, 0] += 1e-12
+    fewer = trimesh.Trimesh(box().vertices, box().faces[:-1], process=False)
+    keys = [decomposition_key(mesh, QUICK) for mesh in (box(), moved, fewer)]
+    others = ({"seed": 1}, {"threshold": 0.06}, {"engine": "vhacd"}, {"time_limit_s": 10.0}, {"max_convex_hull": 4})
+    keys += [decomposition_key(box(), replace(QUICK, **other)) for other in others]
+    monkeypatch.setattr(store, "version", lambda wheel: "99")
+    keys.append(decomposition_key(box(), QUICK))
+    assert len(set(keys)) == len(keys) == 9
+    assert decomposition_key(box(), QUICK) == decomposition_key(box(), replace(QUICK, cache=False))
+
+
+@pytest.mark.parametrize("spoil", [b"", b"torn", None])
+def test_a_broken_file_is_made_anew(folder: Path, spoil: bytes | None):
+    first = decompose(box(), config=QUICK)
+    (file,) = folder.iterdir()
+    whole = file.read_bytes()
+    file.write_bytes(whole[: len(whole) // 2] if spoil is None else spoil)
+    assert decompose(box(), config=QUICK).notes["cached"] is False
+    found = read_parts(file.stem)
+    assert found is not None
+    assert same(first, found)
+
+
+def test_no_single_wrong_byte_raises(folder: Path):
+    key = key_of("box")
+    write_parts(key, hull(box()))
+    file = folder / f"{key}.npz"
+    whole, rng = file.read_bytes(), np.random.default_rng(0)
+    for place in rng.choice(len(whole), 150, replace=False):
+        file.write_bytes(whole[:place] + bytes([whole[place] ^ 0xFF]) + whole[place + 1 :])
+        read_parts(key)
+
+
+@pytest.mark.parametrize(
+    "change",
+    [
+        {"vertices": np.full((8, 3), np.nan)},
+        {"vertices": np.zeros((7, 3))},
+        {"faces": np.full((12, 3), 8, np.int32)},
+        {"faces": np.full((12, 3), -1, np.int32)},
+        {"num_vertices": np.array([], int)},
+        {"meta": np.array("[]")},
+        {"meta": np.array("{}")},
+    ],
+)
+def test_a_foreign_file_is_not_believed(folder: Path, change: dict[str, np.ndarray]):
+    key = key_of("box")
+    write_parts(key, hull(box()))
+    with np.load(folder / f"{key}.npz") as file:
+        arrays = dict(file)
+    np.savez(folder / f"{key}.npz", **{**arrays, **change})  # pyright: ignore[reportArgumentType]
+    assert read_parts(key) is None
+
+
+def test_a_file_under_another_key_is_not_believed(folder: Path):
+    write_parts(key_of("one"), hull(box()))
+    os.replace(folder / f"{key_of('one')}.npz", folder / f"{key_of('other')}.npz")
+    assert read_parts(key_of("other")) is None
+
+
+def test_a_folder_that_cannot_be_is_told_once_and_done_without(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
+    (tmp_path / "file").write_text("in the way")
+    monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "file" / "below"))
+    with pytest.warns(RuntimeWarning, match=CACHE_VARIABLE) as caught:
+        found = [decompose(box(), config=QUICK) for _ in range(2)]
+    assert [result.notes["cached"] for result in found] == [False, False]
+    assert len(caught) == 1
+
+
+def test_what_was_asked_for_longest_ago_goes_first_and_nothing_of_others(folder: Path, monkeypatch: pytest.MonkeyPatch):
+    keys = [key_of(str(number)) for number in range(4)]
+    for number, key in enumerate(keys[:3]):
+        write_parts(key, hull(box()))
+        os.utime(folder / f"{key}.npz", (1000 + number, 1000 + number))
+    assert read_parts(keys[0]) is not None  # and is thereby the youngest
+    (folder / "mine.npz").write_bytes(bytes(10_000))
+    (folder / f"{keys[0]}-abandoned.tmp").write_bytes(b"half")
+    os.utime(folder / f"{keys[0]}-abandoned.tmp", (1000, 1000))
+    size = (folder / f"{keys[0]}.npz").stat().st_size
+    monkeypatch.setattr(store, "LARGEST_BYTES", int(2.5 * size))
+    write_parts(keys[3], hull(box()))
+    left = {path.name for path in folder.iterdir()}
+    assert left == {f"{keys[0]}.npz", f"{keys[3]}.npz", "mine.npz"}
+
+
+def test_parts_made_coarse_by_a_lack_of_time_are_not_kept(folder: Path, monkeypatch: pytest.MonkeyPatch):
+    for out_of_time, kept in ((True, 0), (False, 1)):
+        calls = []
+
+        def lost_once(*given, calls=calls, out_of_time=out_of_time, **limits):
+            calls.append(given)
+            if len(calls) == 1:
+                raise ChildLostError("lost", out_of_time=out_of_time)
+            return run_guarded(*given, **limits)
+
+        monkeypatch.setattr("gfp_grasp.collision.decomposition.run_guarded", lost_once)
+        assert decompose(box(), config=QUICK).notes["attempts"] == 2
+        assert len(list(folder.glob("*"))) == kept
+
+
+def _write_and_read(number: int) -> bool:
+    key = key_of("shared")
+    for _ in range(20):
+        write_parts(key, hull(box()))
+        if read_parts(key) is None:
+            return False
+    return number >= 0
+
+
+@pytest.mark.slow
+def test_processes_that_share_a_folder_never_read_half_a_file(folder: Path):
+    with multiprocessing.get_context("spawn").Pool(3) as pool:
+        assert all(pool.map(_write_and_read, range(3)))
+    assert [path.suffix for path in folder.iterdir()] == [".npz"]
+
+
+@pytest.mark.parametrize("variable", ["XDG_CACHE_HOME", "HOME"])
+def test_the_user_folder_is_the_platforms(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, variable: str):
+    monkeypatch.setattr(store.sys, "platform", "linux")
+    for name in (CACHE_VARIABLE, "XDG_CACHE_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv(variable, str(tmp_path))
+    found = store.cache_folder()
+    assert found == tmp_path / (".cache" if variable == "HOME" else "") / "gfp_grasp" / "parts"
+    monkeypatch.setenv(CACHE_VARIABLE, "off")
+    assert store.cache_folder() is None
+
+
+def test_a_lookup_takes_milliseconds():
+    decompose(box(), config=QUICK)
+    started = time.perf_counter()
+    for _ in range(5):
+        decompose(box(), config=QUICK)
+    assert (time.perf_counter() - started) / 5 < 0.1
