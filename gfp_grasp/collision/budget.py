@@ -10,7 +10,7 @@ import numpy as np
 
 from gfp_grasp.errors import InvalidOption
 
-_MANY = 8
+_MANY = 4
 
 
 @dataclass(frozen=True)
@@ -25,7 +25,7 @@ class CollisionConfig:
     """
 
     max_parts: int = 64
-    max_vertices_per_part: int | None = 64
+    max_vertices_per_part: int | None = None
     tolerance_m: float | None = None
 
     def __post_init__(self) -> None:
@@ -52,8 +52,8 @@ def fewer_corners(corners: np.ndarray, count: int) -> np.ndarray:
     centred = corners - corners.mean(axis=0)
     # The farthest in even directions, of which some are the same; then those that are so in most of many directions,
     # which means that the hull bends much there.
-    chosen = list(dict.fromkeys((centred @ _directions(count).T).argmax(axis=0).tolist()))
-    many = np.bincount((centred @ _directions(_MANY * count).T).argmax(axis=0), minlength=len(corners))
+    chosen = list(dict.fromkeys((_directions(count) @ centred.T).argmax(axis=1).tolist()))
+    many = np.bincount((_directions(_MANY * count) @ centred.T).argmax(axis=1), minlength=len(corners))
     many[chosen] = -1
     chosen += np.argsort(-many, kind="stable")[: count - len(chosen)].tolist()
     own = centred[chosen] - centred[chosen].mean(axis=0)
