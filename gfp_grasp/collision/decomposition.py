@@ -132,7 +132,7 @@ def _attempted(
             continue
         parts, dropped = convex_parts(_as_kept(points) for points, _ in hulls)
         if not parts:
-            lost.append(f"all {dropped} parts were slivers")
+            lost.append(f"all {dropped} parts were slivers" if dropped else "it gave none")
             step += 1
             continue
         _warn_of(said, config)
