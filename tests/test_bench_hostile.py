@@ -17,6 +17,7 @@ from gfp_grasp.bench.hostile_meshes import KINDS, hostile_mesh
 from gfp_grasp.cli import main
 from gfp_grasp.collision import hull
 from gfp_grasp.errors import GfpGraspError, InvalidMesh, InvalidOption
+from gfp_grasp.meshes import make_solid
 from gfp_grasp.types import ConvexPart
 
 REFUSED = ("nan", "inf", "bad_indices", "empty", "single_face")
@@ -58,6 +59,15 @@ def test_every_kind_is_valid_or_refused_by_name(kind: str):
 def test_every_kind_is_decomposed_or_refused_by_name(kind: str):
     outcome = attempt("decompose", tuple(KINDS).index(kind), seed=2)["outcome"]
     assert outcome in ("valid", "InvalidMesh", "DecompositionFailed")
+
+
+@pytest.mark.slow
+def test_a_soup_whose_thinning_fails_becomes_a_solid_that_can_be_worked_with():
+    kind, mesh = hostile_mesh(20, seed=0)
+    solid, _ = make_solid(mesh)
+    assert kind == "soup"
+    assert solid.is_volume
+    assert len(solid.faces) < 100_000  # 700 000 with the fine grid
 
 
 CORNERS = [[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0, 0, 0.1]]

@@ -25,6 +25,7 @@ ROW_OF = {room: row for row, rooms in enumerate(ROWS) for room in rooms}
 HEAVY = {
     "torch": ("register.", "detect.", "deform.", "train.", "bench.ablation"),
     "coacd": ("collision.",),
+    "vhacdx": ("collision.",),
     "mujoco": ("scenes", "camera.render", "envs.", "bench.hostile"),
 }
 MODULES = sorted(PACKAGE.rglob("*.py"))

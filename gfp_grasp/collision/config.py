@@ -43,7 +43,8 @@ class DecomposeConfig:
         apx_mode: Parts are convex hulls ("ch") or boxes ("box").
         seed: Of the search.
         real_metric: threshold is in metres.
-        time_limit_s: Seconds for all attempts together.
+        time_limit_s: Seconds for the repair and all attempts together; a repair that takes longer (a soup of triangles
+            can need 15 s) is not cut short, but no attempt follows it.
         memory_limit_mb: Address space of the child process in MiB; POSIX only, None for no limit.
         attempts: How often to try before giving up: as it is, with jitter, then coarser.
         engine: "coacd", or "vhacd" (an extra of this package), whose time hangs on vhacd_resolution.

@@ -132,7 +132,7 @@ def _attempted(
         clouds = _within_budget([_as_kept(points) for points, _ in hulls], config)
         parts, dropped = convex_parts(clouds, max_vertices=most)
         if not parts:
-            lost.append(f"all {dropped} parts were slivers")
+            lost.append(f"all {dropped} parts were slivers" if dropped else "it gave none")
             step += 1
             continue
         _warn_of(said, config)
