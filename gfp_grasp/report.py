@@ -10,11 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from scipy.stats import binomtest
 
 from gfp_grasp.types import REASONS
 
 # Normal quantile of a two-sided 95 % interval.
 _Z95 = 1.959963984540054
+BRACKETS = ("oracle", "observed")
 
 
 @dataclass(frozen=True)
@@ -38,6 +40,7 @@ class Trial:
         cd_m: Chamfer distance of the completion to the truth, visible surfaces; None where there is no completion.
         f_score: F-score at 5 mm, None where there is no completion.
         note: Error that kept a grasp from being found.
+        rank_held: Rank of the first of the best few grasps that held the true object, 1 the best; None where none did.
         timings_s: Seconds by stage; the one thing that differs between equal runs.
     """
 
@@ -57,6 +60,7 @@ class Trial:
     cd_m: float | None
     f_score: float | None
     note: str = ""
+    rank_held: int | None = None
     timings_s: Mapping[str, float] = field(default_factory=dict)
 
 
@@ -76,21 +80,40 @@ class Report:
         """Summary of each completer, in the order of their first trials.
 
         `attempts`, `successes`, `success_rate`, `ci95` (Wilson) and `reasons` are those on the true objects;
-        `completed_world` has the same for the simulated completions; `cd_m` is the mean over the views that were
-        completed, `num_completed` their number.
+        `any_of_best` the views on which one of the best few grasps held; `completed_world` has the same for the
+        simulated completions, and their `precision` (of the grasps that held there, how many held on the truth) and
+        `recall` (of those that held on the truth, how many held there), None where there were none; `cd_m` is the mean
+        over the views that were completed, `num_completed` their number, `timings_s` the mean
+        by stage.
         """
         names = dict.fromkeys(trial.completer for trial in self.trials)
         return {name: _summary([trial for trial in self.trials if trial.completer == name]) for name in names}
+
+    def paired(self) -> dict[str, dict[str, dict[str, Any]]]:
+        """Every completer beside those that bracket it, on the same objects, views and seeds.
+
+        {completer: {bracket: {"pairs", "only_this", "only_bracket" (views on which one of the two held), "p" (exact
+        McNemar, two-sided)}}}, of the brackets that were scored.
+        """
+        held = {(t.completer, t.object, t.view): t.success for t in self.trials}
+        names = dict.fromkeys(t.completer for t in self.trials)
+        return {
+            name: {
+                bracket: _paired(held, name, bracket) for bracket in BRACKETS if bracket in names and bracket != name
+            }
+            for name in names
+        }
 
     def table(self) -> list[dict[str, str]]:
         """One row a completer, as text for printing."""
         return [_row(name, summary) for name, summary in self.completers().items()]
 
     def to_json(self) -> str:
-        """`{"settings", "completers", "trials"}`; equal runs differ in `timings_s` alone."""
+        """`{"settings", "completers", "paired", "trials"}`; equal runs differ in `timings_s` alone."""
         content = {
             "settings": dict(self.settings),
             "completers": self.completers(),
+            "paired": self.paired(),
             "trials": [asdict(trial) for trial in self.trials],
         }
         return json.dumps(content, indent=1, allow_nan=False)
@@ -110,15 +133,39 @@ def wilson_interval(successes: int, attempts: int) -> tuple[float, float]:
     return max(0.0, float(centre - half)), min(1.0, float(centre + half))
 
 
+def mcnemar_p(only_first: int, only_second: int) -> float:
+    """Exact two-sided McNemar test of paired successes (1947, doi:10.1007/BF02295996); 1 without a difference."""
+    differing = only_first + only_second
+    return float(binomtest(only_first, differing, 0.5).pvalue) if differing else 1.0
+
+
+def _paired(held: Mapping[tuple[str, str, int], bool], name: str, bracket: str) -> dict[str, Any]:
+    pairs = [
+        (success, held[bracket, thing, view])
+        for (completer, thing, view), success in held.items()
+        if completer == name and (bracket, thing, view) in held
+    ]
+    only_this = sum(mine and not other for mine, other in pairs)
+    only_bracket = sum(other and not mine for mine, other in pairs)
+    p = mcnemar_p(only_this, only_bracket)
+    return {"pairs": len(pairs), "only_this": only_this, "only_bracket": only_bracket, "p": p}
+
+
 def _summary(trials: Sequence[Trial]) -> dict[str, Any]:
     distances = [trial.cd_m for trial in trials if trial.cd_m is not None]
+    both = sum(trial.success and trial.completed_success for trial in trials)
+    on_truth, on_completed = sum(t.success for t in trials), sum(t.completed_success for t in trials)
     return {
-        **_rates([trial.reason for trial in trials], sum(trial.success for trial in trials)),
+        **_rates([trial.reason for trial in trials], on_truth),
+        "any_of_best": sum(trial.rank_held is not None for trial in trials),
         "cd_m": float(np.mean(distances)) if distances else None,
         "num_completed": len(distances),
-        "completed_world": _rates(
-            [trial.completed_reason for trial in trials], sum(trial.completed_success for trial in trials)
-        ),
+        "completed_world": {
+            **_rates([trial.completed_reason for trial in trials], on_completed),
+            "precision": both / on_completed if on_completed else None,
+            "recall": both / on_truth if on_truth else None,
+        },
+        "timings_s": {stage: float(np.mean([t.timings_s[stage] for t in trials])) for stage in trials[0].timings_s},
     }
 
 
@@ -138,10 +185,16 @@ def _row(name: str, summary: Mapping[str, Any]) -> dict[str, str]:
     return {
         "completer": name,
         "true world": _rate_text(summary),
+        "of best few": f"{summary['any_of_best']}/{summary['attempts']}",
         "completed world": _rate_text(summary["completed_world"]),
+        "precision, recall": ", ".join(_share(summary["completed_world"][key]) for key in ("precision", "recall")),
         "CD mm": "-" if summary["cd_m"] is None else f"{1000 * summary['cd_m']:.1f}",
         "failures": ", ".join(f"{reason} {count}" for reason, count in failures.items()) or "-",
     }
+
+
+def _share(value: float | None) -> str:
+    return "-" if value is None else f"{value:.2f}"
 
 
 def _rate_text(rates: Mapping[str, Any]) -> str:

@@ -17,7 +17,7 @@ from gfp_grasp.completers import completer
 from gfp_grasp.envs.grasp_env import GfpGraspEnv
 from gfp_grasp.envs.settings import TrialSettings
 from gfp_grasp.errors import GfpGraspError, InvalidMesh, InvalidOption
-from gfp_grasp.grasps import plan_grasps
+from gfp_grasp.grasps import planner
 from gfp_grasp.metrics import CompletionErrors, completion_errors
 from gfp_grasp.parallel import pmap
 from gfp_grasp.primitives import list_primitives
@@ -26,7 +26,7 @@ from gfp_grasp.scenes import ObjectSource, load_objects
 from gfp_grasp.types import Grasp
 
 ALL_CLASSES = "*"
-BRACKETED = ("observed", "mirror", "registration", "gfpnet", "oracle")
+BRACKETED = ("observed", "observed/top-down", "mirror", "gfs", "registration", "gfpnet-paper", "gfpnet", "oracle")
 Progress = Callable[[Iterable[Trial], int], Iterable[Trial]]
 
 
@@ -35,6 +35,7 @@ def score(
     completers: Sequence[str] = BRACKETED,
     *,
     views: int = 4,
+    grasps: int = 5,
     seed: int = 0,
     split: str = "test",
     limit: int | None = None,
@@ -46,12 +47,15 @@ def score(
 
     Every completer meets the same objects in the same poses, views and sensor noise. On each completion the best
     planned grasp is attempted by `GfpGraspEnv.step`, once on the true object and once with the completion's convex
-    parts simulated in its place. No completion, or no grasp on it, is a failed attempt (`no_grasp_found`).
+    parts simulated in its place. No completion, or no grasp on it, is a failed attempt (`no_grasp_found`). Where the
+    best grasp fails on the true object, the next ones are attempted, each on the scene as it was.
 
     Args:
         objects: Families ("cup,mug"), a mesh file, or a folder of `<class>__<name>.<suffix>`.
-        completers: Names, see `gfp_grasp.completers.completer`.
+        completers: Names, see `gfp_grasp.completers.completer`; behind a slash the planner's, see
+            `gfp_grasp.grasps.planner`, if it is not `antipodal`, as in "gfpnet/top-down".
         views: Views of each object.
+        grasps: So many of the best are attempted until one holds; the first alone is the score.
         seed: Of poses, views, noise and planning.
         split: Which seeds of a family.
         limit: At most so many objects.
@@ -62,19 +66,24 @@ def score(
 
     Raises:
         UnknownCompleter: A name that is not on offer.
-        InvalidOption: Objects that are not there, no object of these classes, or views below one.
+        InvalidOption: Objects that are not there, no object of these classes, views or grasps below one, or an unknown
+            planner.
         InvalidMesh: Files of which no object can be made; all of them are named, before anything is scored.
     """
     if views < 1:
         raise InvalidOption(f"views is {views}; at least 1 is expected")
-    for name in completers:
+    if grasps < 1:
+        raise InvalidOption(f"grasps is {grasps}; at least 1 is expected")
+    for row in completers:
+        name, planner_name = _names(row)
         completer(name)
+        planner(planner_name)
     kept = _chosen(objects, split, classes, limit)
     jobs = [
-        _Job(str(objects), split, number, source_name, name, view, seed)
+        _Job(str(objects), split, number, source_name, row, view, seed, grasps)
         for number, source_name in kept
         for view in range(views)
-        for name in completers
+        for row in completers
     ]
     trials = pmap(_attempt, jobs, workers=workers, progress=progress)
     settings = {
@@ -84,6 +93,7 @@ def score(
         "classes": sorted(_classes(classes)),
         "completers": list(completers),
         "views": views,
+        "grasps": grasps,
         "seed": seed,
         "trial": asdict(TrialSettings()),
     }
@@ -98,15 +108,27 @@ class _Job:
     split: str
     number: int
     object_name: str
-    completer: str
+    row: str
     view: int
     seed: int
+    grasps: int
+
+    @property
+    def completer(self) -> str:
+        """Its name, without the planner's."""
+        return _names(self.row)[0]
 
     @property
     def episode_seed(self) -> int:
         """The same for every completer, whatever else is scored."""
         entropy = [self.seed, zlib.crc32(self.object_name.encode()), self.view]
         return int(np.random.SeedSequence(entropy).generate_state(1)[0])
+
+
+def _names(row: str) -> tuple[str, str]:
+    """Of the completer and the planner of a row."""
+    name, _, planner_name = row.partition("/")
+    return name, planner_name or "antipodal"
 
 
 def _chosen(objects: str | Path, split: str, classes: Sequence[str] | None, limit: int | None) -> list[tuple[int, str]]:
@@ -158,17 +180,19 @@ def _attempt(job: _Job) -> Trial:
     env = _env(job.objects, job.split, job.completer, "true")
     _, info = env.reset(seed=job.episode_seed, options={"object": job.number})
     completed_at = time.perf_counter()
-    grasp, note = None, str(info["completion_error"])
+    found, note = (), str(info["completion_error"])
     if env.completion is not None:
-        grasp, note = _best_grasp(env.completion, job.seed)
+        found, note = _best_grasps(env.completion, job)
     planned_at = time.perf_counter()
+    grasp = found[0] if found else None
     true_info, completed_info = _in_both_worlds(env, job, grasp)
+    rank_held = 1 if true_info["is_success"] else _first_held(env, found)
     executed_at = time.perf_counter()
     errors = _errors(env, job)
     return Trial(
         object=job.object_name,
         category=str(info["category"]),
-        completer=job.completer,
+        completer=job.row,
         view=job.view,
         episode_seed=job.episode_seed,
         success=bool(true_info["is_success"]),
@@ -182,6 +206,7 @@ def _attempt(job: _Job) -> Trial:
         cd_m=None if errors is None else errors.cd_m,
         f_score=None if errors is None else errors.f_score,
         note=note,
+        rank_held=rank_held,
         timings_s={
             "complete": completed_at - started,
             "plan": planned_at - completed_at,
@@ -190,12 +215,20 @@ def _attempt(job: _Job) -> Trial:
     )
 
 
-def _best_grasp(completion: Completion, seed: int) -> tuple[Grasp | None, str]:
+def _best_grasps(completion: Completion, job: _Job) -> tuple[Sequence[Grasp], str]:
     try:
-        grasps = plan_grasps(completion, 1, seed=seed)
+        found = planner(_names(job.row)[1])(completion, job.grasps, seed=job.seed)
     except GfpGraspError as error:  # e.g. the completion could not be decomposed
-        return None, f"{type(error).__name__}: {error}"
-    return (grasps[0], "") if grasps else (None, "the planner found no grasp")
+        return (), f"{type(error).__name__}: {error}"
+    return found, "" if found else "the planner found no grasp"
+
+
+def _first_held(env: GfpGraspEnv, grasps: Sequence[Grasp]) -> int | None:
+    """Rank of the first grasp after the best that holds the true object."""
+    for rank, grasp in enumerate(grasps[1:], start=2):
+        if env.step(env.action_code.encode(grasp))[4]["is_success"]:
+            return rank
+    return None
 
 
 def _in_both_worlds(env: GfpGraspEnv, job: _Job, grasp: Grasp | None) -> tuple[Mapping[str, Any], Mapping[str, Any]]:

@@ -8,7 +8,7 @@ import real_data
 import trimesh
 
 from gfp_grasp.errors import InvalidOption
-from gfp_grasp.grasps import GraspConfig, Gripper, plan_grasps
+from gfp_grasp.grasps import GraspConfig, Gripper, plan_grasps, plan_top_down, planner
 from gfp_grasp.grasps.clearance import height_above, room_around
 from gfp_grasp.grasps.contact import find_contacts
 from gfp_grasp.meshes import load_mesh, sample_surface
@@ -76,6 +76,39 @@ def test_a_cup_too_wide_for_the_jaws_is_pinched_by_its_wall():
         assert grasp.T_world_gripper[2, 2] < -0.8  # from above
 
 
+def test_from_above_a_block_is_taken_across_its_narrow_side():
+    block = trimesh.creation.box(bounds=[[-0.06, -0.02, 0], [0.06, 0.02, 0.1]]).subdivide().subdivide()
+    support = SupportPlane(UP, 0.0)
+    best, *others = plan_top_down(completion_of(block, support=support), 4)
+    np.testing.assert_allclose(best.T_world_gripper[:3, 2], -UP, atol=1e-9)
+    assert abs(best.T_world_gripper[1, 1]) > 0.999
+    assert best.width_m == pytest.approx(0.06, abs=2e-3)
+    assert best.T_world_gripper[2, 3] == pytest.approx(0.08, abs=1e-3)
+    assert all(other.quality < best.quality for other in others)
+
+
+def test_from_above_nothing_is_taken_that_is_wider_than_the_jaws_and_no_pad_meets_the_table():
+    assert plan_top_down(completion_of(cup())) == ()
+    low = cylinder(height_m=0.01)
+    for grasp in plan_top_down(completion_of(low, support=SupportPlane(UP, 0.0))):
+        T, opening = grasp.T_world_gripper[None], np.array([grasp.width_m])
+        config = GraspConfig()
+        sweep = {"gripper": config.gripper, "standoff_m": config.standoff_m}
+        assert height_above(T, opening, SupportPlane(UP, 0.0), **sweep)[0] > 0.003
+
+
+def test_planners_go_by_name():
+    assert planner("antipodal") is plan_grasps
+    assert planner("top-down") is plan_top_down
+    assert planner("gfp_grasp.grasps.top_down:plan_top_down") is plan_top_down
+
+
+@pytest.mark.parametrize("plan", [plan_grasps, plan_top_down])
+def test_a_plan_of_less_than_one_grasp_is_refused(plan):
+    with pytest.raises(InvalidOption, match="num is 0"):
+        plan(completion_of(cylinder()), 0)
+
+
 def test_grasps_are_rigid_and_ranked():
     grasps = plan_grasps(completion_of(cylinder()), num=16)
     qualities = [grasp.quality for grasp in grasps]
@@ -140,11 +173,6 @@ def test_guessed_surface_lowers_quality():
     seen = plan_grasps(completion_of(cylinder()))[0]
     guessed = plan_grasps(completion_of(cylinder(), observed=False, sigma_m=0.01))[0]
     assert guessed.quality == pytest.approx(seen.quality * np.exp(-1), rel=0.05)
-
-
-def test_a_plan_of_no_grasps_is_refused():
-    with pytest.raises(InvalidOption, match="num is 0"):
-        plan_grasps(completion_of(cylinder()), num=0)
 
 
 @pytest.mark.parametrize("knob", [{"friction": 0.0}, {"num_rays": -1}, {"min_clearance_m": 0.05}, {"max_climb": 2.0}])

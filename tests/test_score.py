@@ -6,11 +6,11 @@ import pytest
 import trimesh
 
 from gfp_grasp.errors import InvalidOption, UnknownCompleter
-from gfp_grasp.report import Report, Trial, wilson_interval
+from gfp_grasp.report import Report, Trial, mcnemar_p, wilson_interval
 from gfp_grasp.score import score
 from gfp_grasp.types import REASONS
 
-COMPLETERS = ("oracle", "mirror", "own_completers:upright_box", "own_completers:gives_up")
+COMPLETERS = ("oracle", "mirror/top-down", "own_completers:upright_box", "own_completers:gives_up")
 
 
 @pytest.fixture(scope="module")
@@ -30,8 +30,8 @@ def report(folder):
 
 def without_timings(report):
     content = json.loads(report.to_json())
-    for trial in content["trials"]:
-        del trial["timings_s"]
+    for row in (*content["trials"], *content["completers"].values()):
+        del row["timings_s"]
     return content
 
 
@@ -59,7 +59,7 @@ def test_a_completer_that_gives_up_has_failed_attempts(report):
 
 def test_the_json_has_the_promised_layout_and_no_path(report, folder):
     content = json.loads(report.to_json())
-    assert list(content) == ["settings", "completers", "trials"]
+    assert list(content) == ["settings", "completers", "paired", "trials"]
     assert content["settings"]["objects"] == folder.name
     assert str(folder.parent) not in report.to_json()
     assert len(content["trials"]) == 8
@@ -95,6 +95,10 @@ def test_classes_choose_the_objects(folder):
     ("knobs", "error", "message"),
     [
         ({"views": 0}, InvalidOption, "views is 0"),
+        ({"grasps": 0}, InvalidOption, "grasps is 0"),
+        ({"completers": ("mirror/magic",)}, InvalidOption, "no planner 'magic'.*antipodal"),
+        ({"completers": ("mirror/own_completers:missing",)}, InvalidOption, "cannot be imported"),
+        ({"completers": ("mirror/own_completers:__doc__",)}, InvalidOption, "is a str, not a function"),
         ({"classes": ("teapot",)}, InvalidOption, "no object is of class teapot"),
         ({"completers": ("magic",)}, UnknownCompleter, "magic"),
         ({"workers": -1}, InvalidOption, "workers"),
@@ -113,8 +117,39 @@ def test_wilson_intervals_are_those_of_the_tables(successes, attempts, low, high
     assert wilson_interval(successes, attempts) == pytest.approx((low, high), abs=1e-4)
 
 
+def trial(name: str, view: int, truth: bool, completed: bool, rank: int | None = None) -> Trial:
+    reasons = ["held" if held else "no_contact" for held in (truth, completed)]
+    figures = (0.5, 0.05, 0.01, 0.7)
+    return Trial(
+        "a", "cup", name, view, 1, truth, reasons[0], 0.0, 0.0, completed, reasons[1], *figures, rank_held=rank
+    )
+
+
 def test_a_report_counts_each_world_by_itself():
-    trial = Trial("a", "cup", "mirror", 0, 1, False, "no_contact", 0.0, 0.0, True, "held", 0.5, 0.05, 0.01, 0.7)
-    row = Report({}, (trial,)).completers()["mirror"]
+    row = Report({}, (trial("mirror", 0, False, True),)).completers()["mirror"]
     assert (row["successes"], row["completed_world"]["successes"]) == (0, 1)
+    assert (row["completed_world"]["precision"], row["completed_world"]["recall"]) == (0.0, None)
     assert row["cd_m"] == 0.01
+
+
+def test_precision_recall_and_the_best_few_are_counted():
+    kinds = [(True, True, 1), (True, True, 1), (False, True, 3), (True, False, 1), (False, False, None)]
+    row = Report({}, tuple(trial("mirror", i, *kind) for i, kind in enumerate(kinds))).completers()["mirror"]
+    assert row["any_of_best"] == 4
+    assert row["completed_world"]["precision"] == row["completed_world"]["recall"] == pytest.approx(2 / 3)
+
+
+def test_completers_are_paired_with_those_that_bracket_them_view_by_view():
+    held = {
+        "mirror": [True, False, False, False, False, False, False],
+        "oracle": [True, True, True, True, True, True, True],
+    }
+    trials = [trial(name, view, truth, True) for name, row in held.items() for view, truth in enumerate(row)]
+    paired = Report({}, tuple(trials)).paired()
+    assert paired["mirror"] == {"oracle": {"pairs": 7, "only_this": 0, "only_bracket": 6, "p": 2 * 0.5**6}}
+    assert paired["oracle"] == {}
+
+
+@pytest.mark.parametrize(("first", "second", "p"), [(0, 0, 1.0), (1, 1, 1.0), (0, 5, 0.0625), (10, 2, 0.03857)])
+def test_the_exact_test_of_mcnemar_is_that_of_the_tables(first, second, p):
+    assert mcnemar_p(first, second) == pytest.approx(p, abs=1e-5)

@@ -6,13 +6,16 @@ import typer
 
 from gfp_grasp.cli.terminal import JsonFile, Limit, Objects, Seed, Split, Workers, table, track
 
-COMPLETERS = "observed,mirror,registration,gfpnet,oracle"
+COMPLETERS = "observed,observed/top-down,mirror,gfs,registration,gfpnet-paper,gfpnet,oracle"
 
 
 def score(
     objects: Objects,
-    completers: Annotated[str, typer.Option(help="With commas between; your own: module:function.")] = COMPLETERS,
+    completers: Annotated[
+        str, typer.Option(help="With commas between; your own: module:function; with a planner: gfpnet/top-down.")
+    ] = COMPLETERS,
     views: Annotated[int, typer.Option(min=1, help="Of each object.")] = 4,
+    grasps: Annotated[int, typer.Option(min=1, help="So many of the best are tried until one holds.")] = 5,
     split: Split = "test",
     limit: Limit = None,
     classes: Annotated[str | None, typer.Option(help="Of the folder's objects, with commas between; * is all.")] = None,
@@ -30,6 +33,7 @@ def score(
         objects,
         tuple(completers.split(",")),
         views=views,
+        grasps=grasps,
         seed=seed,
         split=split,
         limit=limit,
