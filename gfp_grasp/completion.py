@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 import trimesh
@@ -93,8 +94,12 @@ class Completion:
     def _part_meshes(self) -> tuple[trimesh.Trimesh, ...]:
         return tuple(part.to_trimesh() for part in self.collision.parts)
 
-    def export(self, path: str | Path) -> Path:
+    def export(self, path: str | Path, *, assets: Literal["embedded", "files"] = "embedded") -> Path:
         """Write the completion; the suffix chooses: .obj .ply .stl .glb (mesh), .xml (MJCF), .urdf.
+
+        Args:
+            path: Where to; folders are made.
+            assets: Where .xml has its meshes: in itself, or in files beside it as .urdf always does.
 
         Returns:
             The path written.
@@ -106,4 +111,4 @@ class Completion:
 
         parts = self.parts if needs_parts(path) else ()
         name = self.category or "object"
-        return export_completion(self.mesh, parts, Path(path), name=name, up=self.detection.up)
+        return export_completion(self.mesh, parts, Path(path), name=name, up=self.detection.up, assets=assets)

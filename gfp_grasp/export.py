@@ -6,6 +6,7 @@ import re
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 from xml.etree import ElementTree
 
 import numpy as np
@@ -20,7 +21,7 @@ _MESH_SUFFIXES = (".obj", ".ply", ".stl", ".glb")
 SUFFIXES = (*_MESH_SUFFIXES, ".xml", ".urdf")
 
 Part = ConvexPart | trimesh.Trimesh
-_Writer = Callable[[trimesh.Trimesh, Sequence[Part], Path, str, "MassProperties", np.ndarray], None]
+_Writer = Callable[[trimesh.Trimesh, Sequence[Part], Path, str, "MassProperties", np.ndarray, bool], None]
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,12 +43,14 @@ def export_completion(
     shell_thickness_m: float | None = None,
     colors: np.ndarray | None = None,
     up: ArrayLike = (0.0, 0.0, 1.0),
+    assets: Literal["embedded", "files"] = "embedded",
 ) -> Path:
     """Write an object in the form that the suffix names.
 
     `.obj`, `.ply`, `.stl` and `.glb` hold the mesh. `.xml` is MJCF in one file: the mesh to look at, every convex part
     as a mesh of its own to collide with, explicit inertia, a free joint, floor and light, for MuJoCo's viewer to open.
-    `.urdf` names mesh files in the folder `<stem>_meshes` beside it: visual.obj and hull_000.obj onward.
+    `.urdf` names mesh files in the folder `<stem>_meshes` beside it: visual.obj and hull_000.obj onward. The same
+    object gives the same names and bytes.
 
     Args:
         mesh: Metres; watertight unless shell_thickness_m is given or only the mesh is written.
@@ -59,12 +62,13 @@ def export_completion(
             has an inside need none; closed bottles that are hollow do.
         colors: (v, 3) or (v, 4) uint8 of the vertices, kept by .ply, .glb and .obj.
         up: (3,) normal of the floor and the way that gravity does not pull, in the mesh's frame; for .xml.
+        assets: Where .xml has its meshes: in itself, or in files beside it as .urdf always does.
 
     Returns:
         The path.
 
     Raises:
-        InvalidOption: Unknown suffix, illegal name, density, thickness, colors or up.
+        InvalidOption: Unknown suffix, illegal name, density, thickness, colors, up or assets.
         InvalidMesh: No parts where they are needed, or mass from a volume that is none.
     """
     path = Path(path)
@@ -72,6 +76,8 @@ def export_completion(
     direction = _direction(up)
     if not re.fullmatch(r"[A-Za-z0-9_.-]+", name):
         raise InvalidOption(f"name is {name!r}; letters, digits and _ . - are legal")
+    if assets not in ("embedded", "files"):
+        raise InvalidOption(f"assets is {assets!r}; 'embedded' or 'files' is expected")
     mesh = _colored(mesh, colors)
     path.parent.mkdir(parents=True, exist_ok=True)
     if writer is None:
@@ -82,7 +88,7 @@ def export_completion(
             f"no convex parts came; {path.suffix} needs them: pass those of decompose or of the completion"
         )
     weight = mass_properties(mesh, density=density, shell_thickness_m=shell_thickness_m)
-    writer(mesh, parts, path, name, weight, direction)
+    writer(mesh, parts, path, name, weight, direction, assets == "files")
     return path
 
 
@@ -163,7 +169,13 @@ def _of_shell(triangles: np.ndarray, density_kg_m2: float) -> MassProperties:
 
 
 def _write_mjcf(
-    mesh: trimesh.Trimesh, parts: Sequence[Part], path: Path, name: str, weight: MassProperties, up: np.ndarray
+    mesh: trimesh.Trimesh,
+    parts: Sequence[Part],
+    path: Path,
+    name: str,
+    weight: MassProperties,
+    up: np.ndarray,
+    in_files: bool,
 ) -> None:
     root = ElementTree.Element("mujoco", model=name)
     ElementTree.SubElement(root, "option", gravity=_text(-_GRAVITY * up))
@@ -196,26 +208,47 @@ def _write_mjcf(
     )
     # inertia="shell": MuJoCo would refuse to look at a mesh that is not closed.
     visual = f"{name}_visual"
-    ElementTree.SubElement(
-        asset, "mesh", name=visual, vertex=_text(mesh.vertices), face=_text(mesh.faces), inertia="shell"
-    )
+    files = _write_meshes(mesh, parts, path) if in_files else None
+    sources = [_embedded(shape) for shape in (mesh, *parts)] if files is None else [{"file": file} for file in files]
+    ElementTree.SubElement(asset, "mesh", {"name": visual, **sources[0], "inertia": "shell"})
     looks = {"contype": "0", "conaffinity": "0", "group": "2", "rgba": "0.55 0.65 0.8 1"}
     ElementTree.SubElement(body, "geom", {"name": visual, "type": "mesh", "mesh": visual, "mass": "0", **looks})
-    for index, part in enumerate(parts):
+    for index, source in enumerate(sources[1:]):
         hull = f"{name}_hull_{index:03d}"
-        ElementTree.SubElement(asset, "mesh", name=hull, vertex=_text(part.vertices), face=_text(part.faces))
+        ElementTree.SubElement(asset, "mesh", {"name": hull, **source})
         ElementTree.SubElement(body, "geom", name=hull, type="mesh", mesh=hull, group="3", mass="0")
     _write_xml(root, path)
 
 
-def _write_urdf(
-    mesh: trimesh.Trimesh, parts: Sequence[Part], path: Path, name: str, weight: MassProperties, up: np.ndarray
-) -> None:
-    del up  # URDF has no gravity
+def _embedded(shape: Part) -> dict[str, str]:
+    return {"vertex": _text(shape.vertices), "face": _text(shape.faces)}
+
+
+def _write_meshes(mesh: trimesh.Trimesh, parts: Sequence[Part], path: Path) -> list[str]:
+    """Files of the mesh and each part in a folder beside a path; their names, relative to it."""
     folder = path.parent / f"{path.stem}_meshes"
     folder.mkdir(exist_ok=True)
     for stale in folder.glob("hull_[0-9][0-9][0-9].obj"):
         stale.unlink()  # an earlier export may have had more hulls than this one
+    names = []
+    for stem, shape in (("visual", mesh), *((f"hull_{i:03d}", part) for i, part in enumerate(parts))):
+        solid = trimesh.Trimesh(np.array(shape.vertices), np.array(shape.faces), process=False)
+        solid.export(folder / f"{stem}.obj", include_normals=False, header=None)
+        names.append(f"{folder.name}/{stem}.obj")
+    return names
+
+
+def _write_urdf(
+    mesh: trimesh.Trimesh,
+    parts: Sequence[Part],
+    path: Path,
+    name: str,
+    weight: MassProperties,
+    up: np.ndarray,
+    in_files: bool,
+) -> None:
+    del up, in_files  # URDF has no gravity, and meshes in files only
+    names = _write_meshes(mesh, parts, path)
     root = ElementTree.Element("robot", name=name)
     # For MuJoCo's reader, which else looks for the files without their folder and drops the visual; others ignore it.
     extension = ElementTree.SubElement(root, "mujoco")
@@ -226,14 +259,12 @@ def _write_urdf(
     ElementTree.SubElement(inertial, "mass", value=_text([weight.mass_kg]))
     entries = {f"i{'xyz'[i]}{'xyz'[j]}": _text([weight.inertia[i, j]]) for i in range(3) for j in range(i, 3)}
     ElementTree.SubElement(inertial, "inertia", entries)
-    shapes = [("visual", "visual", mesh), *(("collision", f"hull_{i:03d}", part) for i, part in enumerate(parts))]
-    for role, stem, shape in shapes:
-        solid = trimesh.Trimesh(np.array(shape.vertices), np.array(shape.faces), process=False)
-        solid.export(folder / f"{stem}.obj", include_normals=False, header=None)
-        element = ElementTree.SubElement(link, role, name=stem)
+    for file in names:
+        stem = Path(file).stem
+        element = ElementTree.SubElement(link, "visual" if stem == "visual" else "collision", name=stem)
         ElementTree.SubElement(element, "origin", xyz="0 0 0", rpy="0 0 0")
         geometry = ElementTree.SubElement(element, "geometry")
-        ElementTree.SubElement(geometry, "mesh", filename=f"{folder.name}/{stem}.obj")
+        ElementTree.SubElement(geometry, "mesh", filename=file)
     _write_xml(root, path)
 
 

@@ -7,6 +7,7 @@ import mujoco
 import numpy as np
 import pytest
 import trimesh
+import yourdfpy
 
 from gfp_grasp.errors import InvalidMesh, InvalidOption
 from gfp_grasp.export import SUFFIXES, export_completion, mass_properties
@@ -75,6 +76,62 @@ def test_urdf_compiles_and_holds_mass_and_centre(tmp_path):
     assert origin is not None
     assert float(mass.attrib["value"]) == pytest.approx(700 * mesh.volume)
     np.testing.assert_allclose([float(x) for x in origin.attrib["xyz"].split()], mesh.center_mass, atol=1e-8)
+
+
+@pytest.mark.parametrize(("suffix", "assets"), [(".xml", "embedded"), (".xml", "files"), (".urdf", "embedded")])
+def test_the_same_object_gives_the_same_names_and_bytes(tmp_path, suffix, assets):
+    mesh, parts = cup()
+    written = []
+    for folder in (tmp_path / "a", tmp_path / "b"):
+        export_completion(mesh, parts, folder / f"cup{suffix}", assets=assets)
+        export_completion(mesh, parts, folder / f"cup{suffix}", assets=assets)  # over itself
+        written.append({str(p.relative_to(folder)): p.read_bytes() for p in folder.rglob("*") if p.is_file()})
+    assert written[0] == written[1]
+    assert len(written[0]) == (1 if (suffix, assets) == (".xml", "embedded") else 2 + len(parts))
+
+
+def test_mjcf_with_its_meshes_in_files_is_the_same_model_also_after_a_move(tmp_path):
+    mesh, parts = cup()
+    one = mujoco.MjModel.from_xml_path(str(export_completion(mesh, parts, tmp_path / "one.xml")))
+    path = export_completion(mesh, parts, tmp_path / "here" / "many.xml", assets="files")
+    moved = (tmp_path / "here").rename(tmp_path / "there") / path.name
+    many = mujoco.MjModel.from_xml_path(str(moved))
+    assert (one.nmesh, one.ngeom) == (many.nmesh, many.ngeom) == (1 + len(parts), 2 + len(parts))
+    np.testing.assert_allclose(many.body_mass, one.body_mass)
+    np.testing.assert_allclose(many.body_inertia, one.body_inertia)
+    np.testing.assert_allclose(many.geom_pos, one.geom_pos, atol=1e-6)
+
+
+def test_files_of_hulls_and_visual_come_back_as_they_were(tmp_path):
+    mesh, parts = cup()
+    export_completion(mesh, parts, tmp_path / "cup.urdf")
+    for index, part in enumerate(parts):
+        back = trimesh.load_mesh(tmp_path / "cup_meshes" / f"hull_{index:03d}.obj")
+        assert back.is_volume
+        assert back.is_convex
+        assert back.volume == pytest.approx(part.to_trimesh().volume, rel=1e-6)
+    visual = trimesh.load_mesh(tmp_path / "cup_meshes" / "visual.obj")
+    np.testing.assert_allclose(visual.bounds, mesh.bounds, atol=1e-7)
+
+
+def test_urdf_is_read_by_another_reader_with_mass_and_all_meshes(tmp_path):
+    mesh, parts = cup()
+    robot = yourdfpy.URDF.load(
+        str(export_completion(mesh, parts, tmp_path / "my_cup.urdf", name="cup", density=700.0)),
+        build_collision_scene_graph=True,
+        load_collision_meshes=True,
+    )
+    assert robot.validate()
+    (link,) = robot.robot.links
+    assert link.inertial is not None
+    assert link.inertial.mass == pytest.approx(700 * mesh.volume)
+    np.testing.assert_allclose(link.inertial.origin[:3, 3], mesh.center_mass, atol=1e-8)
+    np.testing.assert_allclose(link.inertial.inertia, 700 * mesh.moment_inertia, rtol=1e-6, atol=1e-12)
+    assert (len(link.visuals), len(link.collisions)) == (1, len(parts))
+    np.testing.assert_allclose(robot.scene.bounds, mesh.bounds, atol=1e-6)
+    np.testing.assert_allclose(robot.collision_scene.bounds, mesh.bounds, atol=1e-6)
+    corners = sum(len(mesh.vertices) for mesh in robot.collision_scene.geometry.values())
+    assert corners == sum(len(part.vertices) for part in parts)
 
 
 def test_mjcf_is_one_file_that_stands_on_its_floor_and_holds_a_marble(tmp_path):
@@ -183,6 +240,7 @@ def test_an_open_mesh_needs_a_shell_thickness(tmp_path):
     [
         ({"name": "a/../b"}, InvalidOption),
         ({"density": 0.0}, InvalidOption),
+        ({"assets": "cloud"}, InvalidOption),
         ({"density": float("nan")}, InvalidOption),
         ({"shell_thickness_m": -1.0}, InvalidOption),
         ({"colors": np.zeros((3, 3), np.uint8)}, InvalidOption),

@@ -254,6 +254,22 @@ def collision(
     save_json(json_file, report)
 
 
+@bench.command()
+def hollow(
+    objects: Objects = "cup,mug,bottle",
+    limit: Limit = 20,
+    workers: Workers = 1,
+    json_file: JsonFile = None,
+    seed: Seed = 0,
+) -> None:
+    """Marbles in completed cups, mugs on a peg, bottles on a table, in MuJoCo."""
+    from gfp_grasp.bench.hollow import bench_hollow
+
+    report = bench_hollow(objects, limit=limit, seed=seed, workers=workers, progress=track("objects"))
+    out.print_json(json.dumps(report["rows"]))
+    save_json(json_file, report)
+
+
 def _part_figures(row: Mapping) -> tuple[str, ...]:
     counts = (str(row["objects"]), str(row["failed"]))
     if "ms" not in row:

@@ -27,6 +27,7 @@ def complete(
     up: Annotated[str | None, typer.Option(help="Normal of the support, x,y,z, or auto; z if left out.")] = None,
     support_height: Annotated[float | None, typer.Option(help="Height of the support along up, metres.")] = None,
     category: Annotated[str | None, typer.Option(help="Class of the object; left out, it is found.")] = None,
+    files: Annotated[bool, typer.Option("--files", help="Meshes of .xml in files beside it, not in itself.")] = False,
     max_parts: Annotated[int, typer.Option(help="Most convex parts.")] = 64,
     max_vertices: Annotated[int | None, typer.Option(help="Most vertices of each part.")] = None,
     tolerance_mm: Annotated[
@@ -60,7 +61,8 @@ def complete(
     rows = []
     for number, completion in enumerate(completions):
         for path in output:
-            completion.export(path if len(completions) == 1 else path.with_stem(f"{path.stem}_{number}"))
+            path = path if len(completions) == 1 else path.with_stem(f"{path.stem}_{number}")
+            completion.export(path, assets="files" if files else "embedded")
         size_mm = " x ".join(f"{1000 * extent:.0f}" for extent in completion.mesh.extents)
         score = f"{completion.scores.get(completion.category, float('nan')):.2f}"
         seen, parts = f"{completion.observed.mean():.0%}", str(counts[number])
