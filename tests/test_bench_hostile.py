@@ -61,6 +61,13 @@ def test_every_kind_is_decomposed_or_refused_by_name(kind: str):
     assert outcome in ("valid", "InvalidMesh", "DecompositionFailed")
 
 
+def test_a_solid_whose_every_face_touches_a_crossing_is_no_crash():
+    kind, mesh = hostile_mesh(164, seed=0)
+    solid, _ = make_solid(mesh)
+    assert kind == "stray"
+    assert solid.is_volume
+
+
 @pytest.mark.slow
 def test_a_soup_whose_thinning_fails_becomes_a_solid_that_can_be_worked_with():
     kind, mesh = hostile_mesh(20, seed=0)
@@ -211,6 +218,10 @@ def test_a_run_that_was_stopped_goes_on_with_the_trials_it_lacks(tmp_path: Path)
     assert report["done"] == {"validate": 6, "decompose": 1}
     assert sum(report["bad"][name] for name in BAD) == 0
     assert len(report["trials"]) == 7
+    report["trials"][3] |= {"outcome": "crash", "why": "a mistake that has been mended"}
+    mended: Any = bench_hostile(config=HostileBench(6, 1), known=report)
+    assert mended["bad"]["crash"] == 0
+    report["trials"][3] = mended["trials"][3]
     again: Any = bench_hostile(config=HostileBench(6, 1), known=report, progress=_none)
     assert again["trials"] == report["trials"]
 

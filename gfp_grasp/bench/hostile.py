@@ -73,7 +73,7 @@ def bench_hostile(
 
     Args:
         config: How many, and which.
-        known: An earlier report, whose trials are kept if it had the same seed.
+        known: An earlier report, whose trials are kept if it had the same seed; the bad ones are made anew.
         workers: Processes at a time.
         progress: Wraps the stream of trials.
         save: Handed the report of what there is, every hundred trials.
@@ -91,7 +91,7 @@ def bench_hostile(
     trials: dict[Job, Trial] = {}
     if known is not None and dict(known["settings"]).get("seed") == config.seed:  # type: ignore[call-overload]
         wanted = set(jobs)
-        trials = {_job(t): t for t in known["trials"] if _job(t) in wanted}  # type: ignore[union-attr]
+        trials = {_job(t): t for t in known["trials"] if _job(t) in wanted and t["outcome"] not in BAD}  # type: ignore[union-attr]
     left = [job for job in jobs if job not in trials]
     watch = progress or (lambda stream, total: stream)
     for done, trial in enumerate(watch(_run(left, config.seed, workers), len(left)), 1):

@@ -127,8 +127,8 @@ def _patched(mesh: trimesh.Trimesh) -> trimesh.Trimesh | None:
 
 
 def _filled(piece: trimesh.Trimesh) -> trimesh.Trimesh | None:
-    """The piece with a fan over each of its small holes, facing outward; None where it stays open."""
-    if not piece.is_winding_consistent:
+    """The piece with a fan over each of its small holes, facing outward; None where it stays open, or is empty."""
+    if len(piece.faces) == 0 or not piece.is_winding_consistent:
         return None
     vertices, faces = np.array(piece.vertices), np.array(piece.faces)
     for loop in _loops(faces):
