@@ -124,6 +124,8 @@ def test_urdf_is_read_by_another_reader_with_mass_and_all_meshes(tmp_path):
     assert robot.validate()
     (link,) = robot.robot.links
     assert link.inertial is not None
+    assert link.inertial.origin is not None
+    assert link.inertial.inertia is not None
     assert link.inertial.mass == pytest.approx(700 * mesh.volume)
     np.testing.assert_allclose(link.inertial.origin[:3, 3], mesh.center_mass, atol=1e-8)
     np.testing.assert_allclose(link.inertial.inertia, 700 * mesh.moment_inertia, rtol=1e-6, atol=1e-12)

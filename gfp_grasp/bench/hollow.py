@@ -9,6 +9,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Sequence
 from functools import partial
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -32,7 +33,7 @@ _PEG_SHARE, _PEG_M = 0.6, 0.005  # of the hole, and at most
 
 def bench_hollow(
     objects: str = "cup,mug,bottle", *, limit: int | None = 20, seed: int = 0, workers: int = 1, progress=None
-) -> dict[str, object]:
+) -> dict[str, Any]:
     """What completed things hold, hang on and stand on.
 
     Args:

@@ -51,8 +51,11 @@ def inside_of(mesh: trimesh.Trimesh) -> Inside | None:
     middle = widest_gap(mesh)
     if middle is None:
         return None
-    down, up = _ray(mesh, middle, [0, 0, -1.0]), _ray(mesh, middle, [0, 0, 1.0])
-    if not np.isfinite(down) or np.isfinite(up):
+    turns = np.linspace(0, 2 * np.pi, 8, endpoint=False)
+    around = np.column_stack([np.cos(turns), np.sin(turns), np.zeros(8)])
+    up, *walls = _rays(mesh, np.tile(middle, (9, 1)), np.vstack([[0, 0, 1.0], around]))
+    down = _rays(mesh, middle, np.array([[0, 0, -1.0]]))[0]
+    if np.isfinite(up) or not np.isfinite([down, *walls]).all():
         return None
     return Inside(middle, float(middle[2] - down), float(mesh.bounds[1, 2]))
 
@@ -124,17 +127,13 @@ def handle_hole(mesh: trimesh.Trimesh, handle: np.ndarray) -> tuple[np.ndarray, 
     places = np.array([f * out + aside * through + [0, 0, z] for f, z in spots.reshape(-1, 2)])
     free = np.ones(len(places), dtype=bool)
     for sign in (1.0, -1.0):
-        free &= ~np.isfinite(
-            cast_rays([(mesh.vertices, mesh.faces)], places, np.tile(sign * through, (len(places), 1)))[0]
-        )
+        free &= np.isinf(_rays(mesh, places, np.tile(sign * through, (len(places), 1))))
         for direction in (sign * out, np.array([0, 0, sign])):
-            free &= np.isfinite(
-                cast_rays([(mesh.vertices, mesh.faces)], places, np.tile(direction, (len(places), 1)))[0]
-            )
+            free &= np.isfinite(_rays(mesh, places, np.tile(direction, (len(places), 1))))
     if not free.any():
         return None
-    surface = sample_surface(mesh, 20_000, np.random.default_rng(0))[0]
-    room = KDTree(surface - np.outer(surface @ through, through)).query(places - np.outer(places @ through, through))[0]
+    flat = np.column_stack([out, [0, 0, 1.0]])
+    room = KDTree(sample_surface(mesh, 20_000, np.random.default_rng(0))[0] @ flat).query(places @ flat)[0]
     best = int(np.where(free, room, -1.0).argmax())
     return places[best], through, float(room[best])
 
@@ -167,8 +166,8 @@ def hangs(
     return bool(data.body("thing").xipos[2] > middle[2] - reach)
 
 
-def _ray(mesh: trimesh.Trimesh, origin: np.ndarray, direction: Sequence[float]) -> float:
-    return float(cast_rays([(mesh.vertices, mesh.faces)], origin, np.array([direction]))[0][0])
+def _rays(mesh: trimesh.Trimesh, origins: np.ndarray, directions: np.ndarray) -> np.ndarray:
+    return cast_rays([(mesh.vertices, mesh.faces)], origins, directions)[0]
 
 
 def _spec() -> mujoco.MjSpec:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from importlib import import_module
-from typing import Protocol
+from typing import Protocol, cast
 
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.grasps.plan import Graspable, plan_grasps
@@ -43,4 +43,4 @@ def planner(name: str) -> Planner:
         raise InvalidOption(f"planner {name!r} cannot be imported ({error}): expected {legal}") from error
     if not callable(function):
         raise InvalidOption(f"planner {name!r} is a {type(function).__name__}, not a function of a completion")
-    return function
+    return cast(Planner, function)
