@@ -107,8 +107,8 @@ class Completion:
         Raises:
             InvalidOption: Another suffix; the message lists these.
         """
-        from gfp_grasp.export import export_completion, needs_parts
+        from gfp_grasp.export import export_completion, legal_name, needs_parts
 
         parts = self.parts if needs_parts(path) else ()
-        name = self.category or "object"
+        name = legal_name(self.category or "object")
         return export_completion(self.mesh, parts, Path(path), name=name, up=self.detection.up, assets=assets)

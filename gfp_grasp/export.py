@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -13,11 +15,14 @@ import numpy as np
 import trimesh
 from numpy.typing import ArrayLike
 
+from gfp_grasp.collision.convex import MIN_THICKNESS_M, convex_part
 from gfp_grasp.errors import InvalidMesh, InvalidOption
 from gfp_grasp.types import ConvexPart
 
 _GRAVITY = 9.81  # MuJoCo's own
 _MESH_SUFFIXES = (".obj", ".ply", ".stl", ".glb")
+_DENSITIES = (0.1, 30_000.0)  # kg/m3: from the lightest aerogel to beyond osmium
+_STRANGE = r"[^A-Za-z0-9_.-]+"
 SUFFIXES = (*_MESH_SUFFIXES, ".xml", ".urdf")
 
 Part = ConvexPart | trimesh.Trimesh
@@ -49,15 +54,16 @@ def export_completion(
 
     `.obj`, `.ply`, `.stl` and `.glb` hold the mesh. `.xml` is MJCF in one file: the mesh to look at, every convex part
     as a mesh of its own to collide with, explicit inertia, a free joint, floor and light, for MuJoCo's viewer to open.
-    `.urdf` names mesh files in the folder `<stem>_meshes` beside it: visual.obj and hull_000.obj onward. The same
-    object gives the same names and bytes.
+    `.urdf` names mesh files in the folder `<stem>_meshes` beside it: visual.obj and hull_000.obj onward, by paths that
+    hold wherever the two are moved together. The same object gives the same names and bytes. Each file is replaced as a
+    whole, so that who has the old one open goes on reading the old one.
 
     Args:
         mesh: Metres; watertight unless shell_thickness_m is given or only the mesh is written.
         parts: Its convex parts in the same frame; only .xml and .urdf need them.
         path: Where to; folders are made, files replaced.
-        name: Of the object, from letters, digits and _ . - only.
-        density: kg/m3 of the material.
+        name: Of the object, from letters, digits and _ . - only, and not "world"; legal_name makes one of any text.
+        density: kg/m3 of the material, 0.1 to 30 000.
         shell_thickness_m: Take the mass from the surface times this thickness instead of the volume. Cups whose mesh
             has an inside need none; closed bottles that are hollow do.
         colors: (v, 3) or (v, 4) uint8 of the vertices, kept by .ply, .glb and .obj.
@@ -69,27 +75,35 @@ def export_completion(
 
     Raises:
         InvalidOption: Unknown suffix, illegal name, density, thickness, colors, up or assets.
-        InvalidMesh: No parts where they are needed, or mass from a volume that is none.
+        InvalidMesh: No parts where they are needed, one that MuJoCo would not take, or mass from a volume that is none.
     """
     path = Path(path)
     writer = _writer(path)
     direction = _direction(up)
-    if not re.fullmatch(r"[A-Za-z0-9_.-]+", name):
-        raise InvalidOption(f"name is {name!r}; letters, digits and _ . - are legal")
+    if not name or name != legal_name(name):
+        raise InvalidOption(f"name is {name!r}; letters, digits and _ . - are legal, world is not: use legal_name")
     if assets not in ("embedded", "files"):
         raise InvalidOption(f"assets is {assets!r}; 'embedded' or 'files' is expected")
     mesh = _colored(mesh, colors)
     path.parent.mkdir(parents=True, exist_ok=True)
     if writer is None:
-        mesh.export(path, file_type=path.suffix.lower()[1:])
+        with _replacing(path) as new:
+            mesh.export(new, file_type=path.suffix.lower()[1:])
         return path
     if not parts:
         raise InvalidMesh(
             f"no convex parts came; {path.suffix} needs them: pass those of decompose or of the completion"
         )
+    _check_parts(parts)
     weight = mass_properties(mesh, density=density, shell_thickness_m=shell_thickness_m)
     writer(mesh, parts, path, name, weight, direction, assets == "files")
     return path
+
+
+def legal_name(text: str) -> str:
+    """A name for export_completion from any text: whatever is no letter of ASCII, digit or _ . - becomes _."""
+    name = re.sub(_STRANGE, "_", text) or "object"
+    return "world_" if name == "world" else name  # MuJoCo's own body
 
 
 def needs_parts(path: str | Path) -> bool:
@@ -108,16 +122,18 @@ def mass_properties(
 
     Args:
         mesh: Metres; watertight and outward unless it is a shell.
-        density: kg/m3.
+        density: kg/m3, 0.1 to 30 000.
         shell_thickness_m: Thickness of the shell, spread over the whole surface; None for a solid.
 
     Raises:
-        InvalidOption: density or thickness is not a finite positive number.
+        InvalidOption: density is that of no material, or the thickness not a finite positive number.
         InvalidMesh: A solid is asked for and the mesh encloses no volume.
     """
-    _positive(density, "density")
+    if not _DENSITIES[0] <= density <= _DENSITIES[1]:
+        raise InvalidOption(f"density is {density!r}; kg/m3 are expected, 0.1 to 30000 (water has 1000)")
     if shell_thickness_m is not None:
-        _positive(shell_thickness_m, "shell_thickness_m")
+        if not np.isfinite(shell_thickness_m) or shell_thickness_m <= 0:
+            raise InvalidOption(f"shell_thickness_m is {shell_thickness_m!r}; a finite positive number is expected")
         return _of_shell(np.asarray(mesh.triangles), density * shell_thickness_m)
     if not mesh.is_volume:
         raise InvalidMesh("mesh is not watertight and outward, so that it has no volume: give shell_thickness_m")
@@ -152,9 +168,15 @@ def _colored(mesh: trimesh.Trimesh, colors: np.ndarray | None) -> trimesh.Trimes
     return trimesh.Trimesh(np.array(mesh.vertices), np.array(mesh.faces), vertex_colors=colors, process=False)
 
 
-def _positive(value: float, name: str) -> None:
-    if not np.isfinite(value) or value <= 0:
-        raise InvalidOption(f"{name} is {value!r}; a finite positive number is expected")
+def _check_parts(parts: Sequence[Part]) -> None:
+    for number, part in enumerate(parts):
+        points = np.asarray(part.vertices)
+        if not np.isfinite(points).all() or convex_part(points) is None:
+            least = f"{1000 * MIN_THICKNESS_M:g} mm"
+            raise InvalidMesh(
+                f"part {number} of {len(parts)} is not finite, thinner than {least} or next to nothing, which MuJoCo "
+                "does not compile: leave it out"
+            )
 
 
 def _of_shell(triangles: np.ndarray, density_kg_m2: float) -> MassProperties:
@@ -228,13 +250,15 @@ def _write_meshes(mesh: trimesh.Trimesh, parts: Sequence[Part], path: Path) -> l
     """Files of the mesh and each part in a folder beside a path; their names, relative to it."""
     folder = path.parent / f"{path.stem}_meshes"
     folder.mkdir(exist_ok=True)
-    for stale in folder.glob("hull_[0-9][0-9][0-9].obj"):
-        stale.unlink()  # an earlier export may have had more hulls than this one
     names = []
     for stem, shape in (("visual", mesh), *((f"hull_{i:03d}", part) for i, part in enumerate(parts))):
         solid = trimesh.Trimesh(np.array(shape.vertices), np.array(shape.faces), process=False)
-        solid.export(folder / f"{stem}.obj", include_normals=False, header=None)
+        with _replacing(folder / f"{stem}.obj") as new:
+            solid.export(new, file_type="obj", include_normals=False, header=None)
         names.append(f"{folder.name}/{stem}.obj")
+    for hull in folder.glob("hull_*.obj"):  # an earlier export may have had more of them
+        if re.fullmatch(r"hull_\d{3,}\.obj", hull.name) and f"{folder.name}/{hull.name}" not in names:
+            hull.unlink()
     return names
 
 
@@ -270,7 +294,19 @@ def _write_urdf(
 
 def _write_xml(root: ElementTree.Element, path: Path) -> None:
     ElementTree.indent(root)
-    ElementTree.ElementTree(root).write(path, encoding="utf-8", xml_declaration=True)
+    with _replacing(path) as new:
+        ElementTree.ElementTree(root).write(new, encoding="utf-8", xml_declaration=True)
+
+
+@contextmanager
+def _replacing(path: Path) -> Iterator[Path]:
+    """A path to write to, whose file takes the place of another one once it is complete."""
+    new = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        yield new
+        new.replace(path)
+    finally:
+        new.unlink(missing_ok=True)
 
 
 def _text(numbers: object) -> str:

@@ -147,6 +147,16 @@ def test_decompose_writes_parts_that_are_convex(tmp_path: Path) -> None:
     np.testing.assert_allclose(parts.volume, 0.05 * 0.04 * 0.03, rtol=1e-2)
 
 
+@pytest.mark.slow
+def test_meshes_go_into_files_where_that_is_asked_for(tmp_path: Path) -> None:
+    trimesh.creation.box((0.05, 0.04, 0.03)).export(tmp_path / "box.stl")
+    assert run("decompose", tmp_path / "box.stl", "-o", tmp_path / "box.xml", "--files") == 0
+    assert sorted(file.name for file in (tmp_path / "box_meshes").iterdir()) == ["hull_000.obj", "visual.obj"]
+    assert run("complete", "sample", "-o", tmp_path / "mug.xml", "--files") == 0
+    hulls = list((tmp_path / "mug_meshes").glob("hull_*.obj"))
+    assert (tmp_path / "mug.xml").read_text(encoding="utf-8").count('file="mug_meshes/hull_') == len(hulls) > 10
+
+
 def test_decompose_heeds_its_options_tells_its_stages_and_says_when_the_cache_answered(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -2,6 +2,7 @@
 # pyright: reportAttributeAccessIssue=false
 
 import xml.etree.ElementTree as ElementTree
+from pathlib import Path
 
 import mujoco
 import numpy as np
@@ -10,7 +11,7 @@ import trimesh
 import yourdfpy
 
 from gfp_grasp.errors import InvalidMesh, InvalidOption
-from gfp_grasp.export import SUFFIXES, export_completion, mass_properties
+from gfp_grasp.export import SUFFIXES, export_completion, legal_name, mass_properties
 from gfp_grasp.types import ConvexPart
 
 
@@ -153,6 +154,57 @@ def test_mjcf_is_one_file_that_stands_on_its_floor_and_holds_a_marble(tmp_path):
     assert data.body("marble").xpos[2] == pytest.approx(0.5 + 0.004 + 0.01, abs=1e-3)
 
 
+def test_urdf_is_read_after_its_folder_was_moved(tmp_path):
+    mesh, parts = cup()
+    path = export_completion(mesh, parts, tmp_path / "here" / "cup.urdf")
+    moved = (tmp_path / "here").rename(tmp_path / "there") / path.name
+    assert mujoco.MjModel.from_xml_path(str(moved)).ngeom == 1 + len(parts)
+    robot = yourdfpy.URDF.load(str(moved), build_collision_scene_graph=True, load_collision_meshes=True)
+    corners = sum(len(mesh.vertices) for mesh in robot.collision_scene.geometry.values())
+    assert corners == sum(len(part.vertices) for part in parts)  # the reader makes one mesh of a link's
+
+
+@pytest.mark.parametrize("suffix", [".glb", ".xml", ".urdf"])
+def test_relative_paths_are_those_of_the_working_folder(tmp_path, monkeypatch, suffix):
+    mesh, parts = cup()
+    monkeypatch.chdir(tmp_path)
+    path = export_completion(mesh, parts, Path("a") / ".." / "b" / f"cup{suffix}", assets="files")
+    assert path.resolve() == tmp_path / "b" / f"cup{suffix}"
+    assert path.exists()
+    if suffix != ".glb":
+        assert mujoco.MjModel.from_xml_path(str(path)).nmesh == 1 + len(parts)
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+def test_who_has_an_old_file_open_goes_on_reading_the_old_one(tmp_path, suffix):
+    mesh, parts = cup()
+    old = export_completion(mesh, parts, tmp_path / f"cup{suffix}").read_bytes()
+    with open(tmp_path / f"cup{suffix}", "rb") as reader:
+        start = reader.read(100)
+        export_completion(mesh.copy().apply_scale(2), parts, tmp_path / f"cup{suffix}", density=500.0)
+        assert start + reader.read() == old
+    assert (tmp_path / f"cup{suffix}").read_bytes() != old
+    assert not list(tmp_path.glob(".*"))
+
+
+def test_an_export_that_is_refused_leaves_what_was_there(tmp_path):
+    mesh, parts = cup()
+    export_completion(mesh, parts, tmp_path / "cup.urdf")
+    before = {file: file.read_bytes() for file in tmp_path.rglob("*.*")}
+    flat = trimesh.creation.box((0.05, 0.05, 1e-9))
+    with pytest.raises(InvalidMesh, match="part 2 of 3"):
+        export_completion(mesh, [*parts[:2], flat], tmp_path / "cup.urdf")
+    assert {file: file.read_bytes() for file in tmp_path.rglob("*.*")} == before
+
+
+def test_a_place_that_cannot_be_written_to_keeps_no_remains(tmp_path):
+    mesh, parts = cup()
+    (tmp_path / "cup.xml").mkdir()
+    with pytest.raises(OSError, match=r"cup\.xml"):
+        export_completion(mesh, parts, tmp_path / "cup.xml")
+    assert [file.name for file in tmp_path.iterdir()] == ["cup.xml"]
+
+
 @pytest.mark.parametrize("suffix", SUFFIXES)
 def test_suffix_in_capitals_spaces_and_new_folders_are_fine(tmp_path, suffix):
     mesh, parts = cup()
@@ -198,6 +250,7 @@ def test_hulls_collide_and_the_visual_does_not(tmp_path):
 def test_urdf_names_its_meshes_by_relative_paths_and_drops_those_of_an_earlier_export(tmp_path):
     mesh, parts = cup()
     export_completion(mesh, parts, tmp_path / "a.urdf")
+    (tmp_path / "a_meshes" / "hull_1000.obj").touch()  # as of more than a thousand parts
     path = export_completion(mesh, parts[:2], tmp_path / "a.urdf")
     files = [element.attrib["filename"] for element in ElementTree.parse(path).iter("mesh")]
     assert files == ["a_meshes/visual.obj", "a_meshes/hull_000.obj", "a_meshes/hull_001.obj"]
@@ -241,7 +294,12 @@ def test_an_open_mesh_needs_a_shell_thickness(tmp_path):
     ("options", "error"),
     [
         ({"name": "a/../b"}, InvalidOption),
+        ({"name": "tasse_à_café"}, InvalidOption),
+        ({"name": ""}, InvalidOption),
+        ({"name": "world"}, InvalidOption),
         ({"density": 0.0}, InvalidOption),
+        ({"density": 1e-12}, InvalidOption),
+        ({"density": 1e6}, InvalidOption),
         ({"assets": "cloud"}, InvalidOption),
         ({"density": float("nan")}, InvalidOption),
         ({"shell_thickness_m": -1.0}, InvalidOption),
@@ -258,3 +316,23 @@ def test_no_parts_are_refused_where_they_are_needed(tmp_path):
     mesh, _ = cup()
     with pytest.raises(InvalidMesh, match="parts"):
         export_completion(mesh, (), tmp_path / "cup.urdf")
+
+
+@pytest.mark.parametrize("suffix", [".xml", ".urdf"])
+@pytest.mark.parametrize("z", [1e-9, np.nan])
+def test_a_part_that_mujoco_would_not_compile_is_refused_by_its_number(tmp_path, suffix, z):
+    mesh, parts = cup()
+    box = trimesh.creation.box((0.05, 0.05, 1.0))
+    bad = ConvexPart(box.vertices * [1, 1, z], box.faces)
+    with pytest.raises(InvalidMesh, match="part 5 of 6"):
+        export_completion(mesh, [*parts, bad], tmp_path / f"cup{suffix}")
+
+
+@pytest.mark.parametrize(
+    ("text", "name"), [("mug.v2", "mug.v2"), ("tasse à café", "tasse_caf_"), ("world", "world_"), ("", "object")]
+)
+def test_any_text_makes_a_name_that_compiles(tmp_path, text, name):
+    mesh, parts = cup()
+    assert legal_name(text) == legal_name(name) == name
+    model = mujoco.MjModel.from_xml_path(str(export_completion(mesh, parts, tmp_path / "a.xml", name=legal_name(text))))
+    assert model.body(name).mass[0] == pytest.approx(1000 * mesh.volume)

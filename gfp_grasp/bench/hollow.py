@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import trimesh
 
 from gfp_grasp.bench.views import see
-from gfp_grasp.camera import cast_rays
 from gfp_grasp.collision import hull
 from gfp_grasp.complete import complete_to_mesh
 from gfp_grasp.completion import Completion
@@ -44,17 +45,25 @@ def bench_hollow(
         progress: Wraps the stream of objects.
 
     Returns:
-        {"settings", "rows": {class: {"marble": {"tried", "kept", "off_mm" median and largest distance of the kept ones
-        from the true floor, "hull_kept"}, "peg": {"tried", "hung", "hull_hung"}, "stand": {"tried", "stood"}}},
-        "trials": every object's}. Kept is a marble that lies within 10 mm of the height of the true floor; what is not
-        open, has no handle that was seen, or did not stand itself is not tried.
+        {"settings", "rows": {class: figures}, "trials": every object's}, the figures being
+
+        - "objects", and "failed" of them, which were not completed;
+        - "marble": "tried" (what is truly open to the marble), "completed_closed" (of those, which then keep none),
+          "kept" (it lies within 10 mm of the height of the true floor), "kept_on_own" (of the completed mesh's floor),
+          "off_mm" (median and largest distance of the kept ones from the true floor), "hull_kept" (from the convex
+          hull), and "opened" (completed as open, which the truth is not; not tried);
+        - "peg": "tried" (a handle was completed that has a hole), "hung", "hull_hung";
+        - "stand": "tried" (the truth stands), "stood".
+
+        An object that failed is in no count but its own.
     """
     sources = load_objects(objects, limit=limit)
     trials = pmap(partial(_trial, seed=seed), list(enumerate(sources)), workers=workers, progress=progress)
     rows = {
         c: _figures([t for t in trials if t["category"] == c]) for c in dict.fromkeys(t["category"] for t in trials)
     }
-    return {"settings": {"objects": objects, "num_objects": len(sources), "seed": seed}, "rows": rows, "trials": trials}
+    settings = {"objects": Path(objects).name, "num_objects": len(sources), "seed": seed}
+    return {"settings": settings, "rows": rows, "trials": trials}
 
 
 def _trial(job: tuple[int, ObjectSource], *, seed: int) -> dict[str, object]:
@@ -78,13 +87,14 @@ def _trial(job: tuple[int, ObjectSource], *, seed: int) -> dict[str, object]:
 def _marble(
     completion: Completion, parts: Sequence[ConvexPart], whole: Sequence[ConvexPart], truth: trimesh.Trimesh
 ) -> dict[str, object]:
-    inside = inside_of(completion.mesh)
-    if inside is None:
-        return {}
-    above = np.array([*inside.middle[:2], truth.bounds[1, 2] + 0.1])
-    floor = above[2] - cast_rays([(truth.vertices, truth.faces)], above, np.array([[0, 0, -1.0]]))[0][0]
-    off = [float(drop_marble(p, inside, radius_m=MARBLE_M)[2] - MARBLE_M - floor) for p in (parts, whole)]
-    return {"marble_off_mm": [round(1000 * distance, 2) for distance in off]}
+    own, true = inside_of(completion.mesh), inside_of(truth)
+    if true is None or true.room_m <= MARBLE_M:
+        return {} if own is None else {"opened": True}
+    start = replace(own or true, rim_m=max(completion.mesh.bounds[1, 2], truth.bounds[1, 2]))
+    bottoms = [drop_marble(p, start, radius_m=MARBLE_M)[2] - MARBLE_M for p in (parts, whole)]
+    off, hull_off = ((bottom - true.floor_m) * 1000 for bottom in bottoms)
+    off_own = None if own is None else round(float(bottoms[0] - own.floor_m) * 1000, 2)
+    return {"marble_off_mm": round(float(off), 2), "off_own_mm": off_own, "hull_off_mm": round(float(hull_off), 2)}
 
 
 def _peg(
@@ -110,17 +120,26 @@ def _stand(
 
 
 def _figures(trials: Sequence[dict]) -> dict[str, object]:
-    marbles = [t["marble_off_mm"] for t in trials if "marble_off_mm" in t]
+    marbles = [t for t in trials if "marble_off_mm" in t]
     pegs, tilts = [t["hung"] for t in trials if "hung" in t], [t["tilt_deg"] for t in trials if "tilt_deg" in t]
-    kept = [abs(off) for off, _ in marbles if abs(off) <= 1000 * _FLOOR_M]
+    opened = [t for t in marbles if t["off_own_mm"] is not None]
+    kept = [abs(t["marble_off_mm"]) for t in opened if _near(t["marble_off_mm"])]
     return {
+        "objects": len(trials),
         "failed": sum("failed" in t for t in trials),
         "marble": {
             "tried": len(marbles),
+            "completed_closed": len(marbles) - len(opened),
             "kept": len(kept),
+            "kept_on_own": sum(_near(t["off_own_mm"]) for t in opened),
             "off_mm": [round(float(np.median(kept)), 2), round(max(kept), 2)] if kept else None,
-            "hull_kept": sum(abs(off) <= 1000 * _FLOOR_M for _, off in marbles),
+            "hull_kept": sum(_near(t["hull_off_mm"]) for t in marbles),
+            "opened": sum("opened" in t for t in trials),
         },
         "peg": {"tried": len(pegs), "hung": sum(p for p, _ in pegs), "hull_hung": sum(p for _, p in pegs)},
         "stand": {"tried": len(tilts), "stood": sum(tilt <= _TILT_DEG for tilt in tilts)},
     }
+
+
+def _near(off_mm: float) -> bool:
+    return abs(off_mm) <= 1000 * _FLOOR_M

@@ -1,7 +1,6 @@
 """`gfp-grasp complete` and `gfp-grasp decompose`: files in, files out."""
 
 import os
-import re
 import warnings
 from collections.abc import Sequence
 from dataclasses import replace
@@ -17,6 +16,8 @@ from gfp_grasp.export import SUFFIXES
 
 _SHELL_M = 0.002  # wall of a mesh without a volume
 
+Files = Annotated[bool, typer.Option("--files", help="Meshes of .xml in files beside it, not in itself.")]
+
 
 def complete(
     cloud: Annotated[Path, typer.Argument(help="Cloud or .npz capture, metres; sample is one that ships.")],
@@ -27,7 +28,7 @@ def complete(
     up: Annotated[str | None, typer.Option(help="Normal of the support, x,y,z, or auto; z if left out.")] = None,
     support_height: Annotated[float | None, typer.Option(help="Height of the support along up, metres.")] = None,
     category: Annotated[str | None, typer.Option(help="Class of the object; left out, it is found.")] = None,
-    files: Annotated[bool, typer.Option("--files", help="Meshes of .xml in files beside it, not in itself.")] = False,
+    files: Files = False,
     max_parts: Annotated[int, typer.Option(help="Most convex parts.")] = 64,
     max_vertices: Annotated[int | None, typer.Option(help="Most vertices of each part.")] = None,
     tolerance_mm: Annotated[
@@ -77,6 +78,7 @@ def decompose(
     engine: Annotated[str, typer.Option(help="coacd, or vhacd, which is an extra.")] = "coacd",
     threshold: Annotated[float, typer.Option(help="Concavity a part may keep, 0.01 to 1; smaller is finer.")] = 0.05,
     max_parts: Annotated[int | None, typer.Option(help="Most parts.")] = None,
+    files: Files = False,
     time_limit: Annotated[float, typer.Option(help="Seconds for all attempts.")] = 300.0,
     no_cache: Annotated[bool, typer.Option("--no-cache", help="Neither read nor keep what was made before.")] = False,
     seed: Seed = 0,
@@ -86,7 +88,7 @@ def decompose(
 
     from gfp_grasp.collision import DecomposeConfig
     from gfp_grasp.collision import decompose as split
-    from gfp_grasp.export import export_completion, needs_parts
+    from gfp_grasp.export import export_completion, legal_name, needs_parts
     from gfp_grasp.meshes import every_suffix, load_mesh
 
     check_outputs([output])
@@ -103,11 +105,12 @@ def decompose(
         collision = split(solid, config=config, progress=tell)
     parts = [part.to_trimesh() for part in collision.parts]
     if needs_parts(output):
-        name = re.sub(r"[^A-Za-z0-9_.-]+", "_", mesh.stem)
+        name = legal_name(mesh.stem)
         shell_m = None if solid.is_volume else _SHELL_M
         if shell_m:
             err.print(f"note: the mesh is not closed; its mass is that of a {1000 * shell_m:.0f} mm shell")
-        export_completion(solid, parts, output, name=name, shell_thickness_m=shell_m)
+        assets = "files" if files else "embedded"
+        export_completion(solid, parts, output, name=name, shell_thickness_m=shell_m, assets=assets)
     else:
         export_completion(trimesh.util.concatenate(parts), parts, output)  # pyright: ignore[reportArgumentType]
     mean, high, largest = (f"{1000 * error:.2f}" for error in collision.error_m)

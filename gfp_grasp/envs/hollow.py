@@ -11,10 +11,10 @@ from dataclasses import dataclass
 import mujoco
 import numpy as np
 import trimesh
+from scipy import ndimage
 from scipy.spatial import KDTree
 
 from gfp_grasp.camera import cast_rays
-from gfp_grasp.collision.cavity import widest_gap
 from gfp_grasp.errors import InvalidMesh
 from gfp_grasp.export import mass_properties
 from gfp_grasp.meshes import sample_surface
@@ -25,6 +25,9 @@ _STEP_S = 0.0005
 _CONTACT_S = 0.002
 _DROP_M = 0.02  # above the rim
 _GRID = 40
+# Of the map that is rained on; a wall thinner than a cell would leak.
+_CELL_M, _MOST_CELLS = 0.001, 256
+_FOUR = ndimage.generate_binary_structure(2, 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,32 +35,64 @@ class Inside:
     """The inside of an open vessel, z up.
 
     Attributes:
-        middle: (3,) m, a place in it with much room around.
+        middle: (3,) m, halfway between floor and brim, where the opening leaves most room.
         floor_m: Height of the floor below that place.
+        brim_m: Height up to which it would hold water.
         rim_m: Height of the highest point of the vessel.
+        room_m: Radius of the largest ball that comes in from above and gets as deep as the middle.
     """
 
     middle: np.ndarray
     floor_m: float
+    brim_m: float
     rim_m: float
+    room_m: float
 
 
-def inside_of(mesh: trimesh.Trimesh) -> Inside | None:
-    """The inside of a mesh that is open at its top; None where it is not.
+def inside_of(mesh: trimesh.Trimesh, *, least_depth_m: float = 0.015) -> Inside | None:
+    """The inside of a mesh that is open at its top: where rain that falls on it would stay.
 
     Args:
         mesh: Watertight, z up, m.
+        least_depth_m: What holds less water than this has no inside, but a dent.
+
+    Returns:
+        The largest one by the water that it holds; None where there is none.
     """
-    middle = widest_gap(mesh)
-    if middle is None:
-        return None
-    turns = np.linspace(0, 2 * np.pi, 8, endpoint=False)
-    around = np.column_stack([np.cos(turns), np.sin(turns), np.zeros(8)])
-    up, *walls = _rays(mesh, np.tile(middle, (9, 1)), np.vstack([[0, 0, 1.0], around]))
-    down = _rays(mesh, middle, np.array([[0, 0, -1.0]]))[0]
-    if np.isfinite(up) or not np.isfinite([down, *walls]).all():
-        return None
-    return Inside(middle, float(middle[2] - down), float(mesh.bounds[1, 2]))
+    low, high = np.array(mesh.bounds)
+    cell = max(_CELL_M, float(np.ptp(mesh.bounds[:, :2], axis=0).max()) / _MOST_CELLS)
+    xs, ys = (np.arange(low[axis] - 2 * cell, high[axis] + 2 * cell, cell) for axis in (0, 1))
+    above = np.stack([*np.meshgrid(xs, ys, indexing="ij"), np.full((len(xs), len(ys)), high[2] + _DROP_M)], axis=-1)
+    fall = _rays(mesh, above.reshape(-1, 3), np.tile([0, 0, -1.0], (len(xs) * len(ys), 1)))
+    heights = np.where(np.isfinite(fall), high[2] + _DROP_M - fall, low[2]).reshape(above.shape[:2])
+    water = _filled(heights)
+    pools = np.asarray(ndimage.label(water - heights > least_depth_m / 2)[0])  # pyright: ignore[reportIndexIssue]
+    volumes = np.bincount(pools.ravel(), (water - heights).ravel())
+    for pool in 1 + np.argsort(volumes[1:])[::-1]:
+        inner = pools == pool
+        depth = float((water - heights)[inner].max())
+        if depth < least_depth_m:
+            continue
+        brim = float(water[inner].max())
+        room = cell * np.asarray(ndimage.distance_transform_edt(inner & (heights <= brim - depth / 2)))
+        column = np.unravel_index(room.argmax(), room.shape)
+        floor = float(heights[column])
+        middle = np.array([*above[column][:2], (floor + brim) / 2])
+        return Inside(middle, floor, brim, float(high[2]), float(room[column]))
+    return None
+
+
+def _filled(heights: np.ndarray) -> np.ndarray:
+    """Height of the water on a map of heights (x, y) m after long rain, everything beyond the map being a drain."""
+    water = np.full_like(heights, np.inf)
+    water[[0, -1]], water[:, [0, -1]] = heights[[0, -1]], heights[:, [0, -1]]
+    while True:
+        # Water goes to four neighbours, not eight, so that walls one cell thick are tight.
+        lower = np.maximum(heights, ndimage.minimum_filter(water, footprint=_FOUR, mode="nearest"))
+        lower = np.minimum(lower, water)
+        if np.array_equal(lower, water):
+            return water
+        water = lower
 
 
 def drop_marble(
@@ -68,7 +103,7 @@ def drop_marble(
     Args:
         parts: m, z up.
         inside: Over whose middle the marble starts, above the rim.
-        radius_m: Of the marble.
+        radius_m: Of the marble; one larger than inside.room_m does not get in.
         seconds: That are simulated.
 
     Returns:
