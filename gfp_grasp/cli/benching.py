@@ -270,6 +270,25 @@ def hollow(
     save_json(json_file, report)
 
 
+@bench.command()
+def trial(
+    objects: Objects = "cup,mug,bottle",
+    limit: Limit = 24,
+    grasps: Annotated[int, typer.Option(min=1, help="Attempts on each object.")] = 4,
+    workers: Workers = 1,
+    json_file: JsonFile = None,
+    seed: Seed = 0,
+) -> None:
+    """Outcomes of grasps at the time step, at half and at a quarter of it; attempts a second."""
+    from gfp_grasp.bench.trial import bench_trial
+
+    report = bench_trial(
+        objects, limit=limit or 24, grasps=grasps, seed=seed, workers=workers, progress=track("objects")
+    )
+    out.print_json(json.dumps({key: value for key, value in report.items() if key != "trials"}))
+    save_json(json_file, report)
+
+
 def _part_figures(row: Mapping) -> tuple[str, ...]:
     counts = (str(row["objects"]), str(row["failed"]))
     if "ms" not in row:

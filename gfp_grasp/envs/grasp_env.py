@@ -121,6 +121,11 @@ class GfpGraspEnv(gymnasium.Env[Observation, np.ndarray], EzPickle):
         """The completed object of the current episode; None where completion failed."""
         return self.episode.completion
 
+    @property
+    def world(self) -> World | None:
+        """The compiled scene that attempts of the current episode run in; None where there is none."""
+        return self._world
+
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:

@@ -15,7 +15,14 @@ from gfp_grasp.scenes.gripper import ACTUATOR, BODY, MOCAP, PADS, SQUEEZE, STROK
 from gfp_grasp.transforms import make_T
 from gfp_grasp.types import Grasp
 
-_WARNINGS = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
+_WARNINGS = [
+    int(warning)
+    for warning in (
+        mujoco.mjtWarning.mjWARN_BADQPOS,
+        mujoco.mjtWarning.mjWARN_BADQVEL,
+        mujoco.mjtWarning.mjWARN_BADQACC,
+    )
+]
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,10 +96,14 @@ class Rig:
         """Put the gripper somewhere at once, at rest and open."""
         place_gripper(self.model, self.data, T_world_gripper, opening_m)
 
-    def command(self, position: np.ndarray, quat_wxyz: np.ndarray) -> None:
-        """Where the gripper is to go: (3,) m and a unit quaternion (4,)."""
-        self.data.mocap_pos[self.mocap] = position
-        self.data.mocap_quat[self.mocap] = quat_wxyz
+    @property
+    def commanded(self) -> tuple[np.ndarray, np.ndarray]:
+        """Where the gripper is to go, (3,) m and a unit quaternion (4,), to be written to."""
+        return self.data.mocap_pos[self.mocap], self.data.mocap_quat[self.mocap]
+
+    def pose_of(self, body: int) -> tuple[np.ndarray, np.ndarray]:
+        """Rotation (3, 3) and position (3,) m of a body, as the state has them: they change with it."""
+        return self.data.xmat[body].reshape(3, 3), self.data.xpos[body]
 
     def set_force_limit(self, grip_n: float) -> None:
         """Largest force of each jaw."""
@@ -119,16 +130,18 @@ class Rig:
     def touching_pads(self) -> int:
         """How many of the two pads touch the object."""
         pairs = self.data.contact.geom
-        other = np.where(self.is_target[pairs[:, 0]], pairs[:, 1], pairs[:, 0])
-        of_target = self.is_target[pairs].any(axis=1)
-        return len(np.unique(other[of_target & self.is_pad[other]]))
+        pads = pairs[self.is_pad[pairs] & self.is_target[pairs[:, ::-1]]]
+        return len(set(pads.tolist()))
 
     def is_unstable(self, too_fast_mps: float) -> bool:
         """Whether the state is not finite, MuJoCo has warned of it, or the object is faster than anything sound."""
-        if any(self.data.warning[int(warning)].number for warning in _WARNINGS):
+        if self.data.warning.number[_WARNINGS].any():
             return True
-        finite = np.isfinite(self.data.qpos).all() and np.isfinite(self.data.qvel).all()
-        return not finite or bool(np.linalg.norm(self.data.cvel[self.target, 3:]) > too_fast_mps)
+        # What is not finite leaves no finite sum, and a sum of finite numbers below 1e300 is finite.
+        if not (np.isfinite(self.data.qpos.sum()) and np.isfinite(self.data.qvel.sum())):
+            return True
+        speed = self.data.cvel[self.target, 3:]
+        return bool(speed @ speed > too_fast_mps**2)
 
     def _pose(self, body: int) -> np.ndarray:
         return make_T(self.data.xmat[body].reshape(3, 3), self.data.xpos[body])

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 
 import mujoco
@@ -13,10 +14,12 @@ from scipy.spatial.transform import Rotation
 
 from gfp_grasp.envs.rig import Rig
 from gfp_grasp.envs.settings import TrialSettings
-from gfp_grasp.transforms import invert_T, make_T, rotation_about
+from gfp_grasp.transforms import invert_T, make_T
 from gfp_grasp.types import Grasp, Outcome
 
 _UP = np.array([0.0, 0.0, 1.0])
+Course = Callable[[np.ndarray], np.ndarray]
+Failure = Callable[[], str | None]
 _SHAKE_AXES = (np.array([1.0, 0.0, 0.0]), np.array([0.0, 1.0, 0.0]))
 
 
@@ -29,6 +32,7 @@ def run_trial(
     target: str = "object",
     floats: bool = False,
     on_step: Callable[[mujoco.MjData], None] | None = None,
+    stepper: Callable[[mujoco.MjModel, mujoco.MjData], None] = mujoco.mj_step,
 ) -> Outcome:
     """Attempt a grasp on an object that has come to rest; `TrialSettings` tells the steps.
 
@@ -41,12 +45,13 @@ def run_trial(
         floats: The object has no weight until the jaws have closed: a completed half may not stand by itself, which is
             no fault of the grasp.
         on_step: Called after every command, e.g. to film.
+        stepper: Moves the state on by one step in place of MuJoCo's own, e.g. to time it.
 
     Returns:
         What happened; success means held to the end.
     """
     settings = settings or TrialSettings()
-    attempt = _Attempt(Rig.of(model, data, target), grasp, settings, on_step)
+    attempt = _Attempt(Rig.of(model, data, target), grasp, settings, on_step, stepper)
     attempt.rig.set_weight(0.0 if floats else 1.0)
     reason = attempt.run()
     attempt.rig.set_weight(1.0)
@@ -57,9 +62,14 @@ class _Attempt:
     """The state of one attempt: where the gripper should be and what the object did."""
 
     def __init__(
-        self, rig: Rig, grasp: Grasp, settings: TrialSettings, on_step: Callable[[mujoco.MjData], None] | None
+        self,
+        rig: Rig,
+        grasp: Grasp,
+        settings: TrialSettings,
+        on_step: Callable[[mujoco.MjData], None] | None,
+        stepper: Callable[[mujoco.MjModel, mujoco.MjData], None],
     ) -> None:
-        self.rig, self.grasp, self.settings, self.on_step = rig, grasp, settings, on_step
+        self.rig, self.grasp, self.settings, self.on_step, self.stepper = rig, grasp, settings, on_step, stepper
         self.T_grasp = grasp.T_world_gripper
         self.T_target_start = rig.T_world_target
         self.T_gripper_held = np.eye(4)
@@ -94,9 +104,7 @@ class _Attempt:
             touched = pushed > s.push_m or self.rig.largest_force_n() > s.touch_n
             return "collided_on_approach" if touched else None
 
-        return collided() or self._follow(
-            lambda t: _moved(self.T_grasp, (1.0 - _smooth(t)) * behind), s.approach_s, collided
-        )
+        return collided() or self._move(lambda t: (1.0 - _smooth(t))[:, None] * behind, s.approach_s, collided)
 
     def _close(self) -> str | None:
         s = self.settings
@@ -105,7 +113,7 @@ class _Attempt:
             self.closing_m += s.grip_ramp_mps * s.control_s
             self.rig.set_opening(self.grasp.width_m - self.closing_m)
 
-        failure = self._follow(lambda t: self.T_grasp, s.close_s, close_further)
+        failure = self._move(_stay, s.close_s, close_further)
         if failure is None and self.rig.touching_pads() < 2:
             failure = "no_contact"
         self.rig.set_weight(1.0)
@@ -119,43 +127,56 @@ class _Attempt:
         def slipped() -> str | None:
             return self._slipped("slipped_on_lift")
 
-        T_up = _moved(self.T_grasp, s.lift_m * _UP)
-        return self._follow(
-            lambda t: _moved(self.T_grasp, _smooth(t) * s.lift_m * _UP), s.lift_s, slipped
-        ) or self._follow(lambda t: T_up, s.hold_s, slipped)
+        return self._move(lambda t: _smooth(t)[:, None] * s.lift_m * _UP, s.lift_s, slipped) or self._move(
+            _stay, s.hold_s, slipped, raised_m=s.lift_m
+        )
 
     def _shake(self) -> str | None:
         s = self.settings
-        T_up = _moved(self.T_grasp, s.lift_m * _UP)
-        turn_rad = np.deg2rad(s.turn_deg)
+
+        def slipped() -> str | None:
+            return self._slipped("slipped_on_shake")
+
         for axis in _SHAKE_AXES:
-            failure = self._follow(
-                lambda t, axis=axis: _moved(T_up, s.shake_m * _swing(t, s.shake_cycles) * axis),
+            failure = self._move(
+                lambda t, axis=axis: s.shake_m * _swing(t, s.shake_cycles)[:, None] * axis,
                 s.shake_cycles / s.shake_hz,
-                lambda: self._slipped("slipped_on_shake"),
-            ) or self._follow(
-                lambda t, axis=axis: _turned(T_up, axis, turn_rad * _swing(t, 1)),
-                1.0 / s.turn_hz,
-                lambda: self._slipped("slipped_on_shake"),
-            )
+                slipped,
+                raised_m=s.lift_m,
+            ) or self._turn(lambda t, axis=axis: np.deg2rad(s.turn_deg) * _swing(t, 1)[:, None] * axis, slipped)
             if failure is not None:
                 return failure
         return None
 
-    def _follow(
-        self, pose_at: Callable[[float], np.ndarray], seconds: float, failure: Callable[[], str | None]
-    ) -> str | None:
-        """Follow a path over t = 0 to 1, commanded at every time step and checked at every `control_s`.
+    def _move(self, offset_at: Course, seconds: float, failure: Failure, *, raised_m: float = 0.0) -> str | None:
+        """Move without turning: offsets (n, 3) m from the grasp, raised, at shares (n,) of the time."""
+        share = self._shares(seconds)
+        position = self.T_grasp[:3, 3] + raised_m * _UP + offset_at(share)
+        quat = Rotation.from_matrix(self.T_grasp[:3, :3]).as_quat(scalar_first=True)
+        return self._follow(position, np.tile(quat, (len(share), 1)), failure)
+
+    def _turn(self, rotvec_at: Course, failure: Failure) -> str | None:
+        """Turn in the air by rotation vectors (n, 3) at shares (n,) of the time."""
+        share = self._shares(1.0 / self.settings.turn_hz)
+        turned = Rotation.from_rotvec(rotvec_at(share)) * Rotation.from_matrix(self.T_grasp[:3, :3])
+        position = self.T_grasp[:3, 3] + self.settings.lift_m * _UP
+        return self._follow(np.tile(position, (len(share), 1)), turned.as_quat(scalar_first=True), failure)
+
+    def _shares(self, seconds: float) -> np.ndarray:
+        """Of a phase's time, at each step of it."""
+        num = self.substeps * max(1, round(seconds / self.settings.control_s))
+        return np.arange(1, num + 1) / num
+
+    def _follow(self, positions: np.ndarray, quats: np.ndarray, failure: Failure) -> str | None:
+        """Follow a path of positions (n, 3) and quaternions (n, 4), checked at every `control_s`.
 
         A command that stood for several steps would jerk the gripper at each new one, and shake the object loose.
         """
-        model, data, every = self.rig.model, self.rig.data, self.substeps
-        num = every * max(1, round(seconds / self.settings.control_s))
-        poses = np.stack([pose_at(i / num) for i in range(1, num + 1)])
-        quats = Rotation.from_matrix(poses[:, :3, :3]).as_quat(scalar_first=True)
-        for i in range(num):
-            self.rig.command(poses[i, :3, 3], quats[i])
-            mujoco.mj_step(model, data)
+        model, data, every, step = self.rig.model, self.rig.data, self.substeps, self.stepper
+        commanded = self.rig.commanded
+        for i in range(len(positions)):
+            commanded[0][:], commanded[1][:] = positions[i], quats[i]
+            step(model, data)
             if (i + 1) % every:
                 continue
             if self.on_step is not None:
@@ -169,29 +190,33 @@ class _Attempt:
 
     def _slipped(self, reason: str) -> str | None:
         """Compare the object in the gripper with how it was at the end of closing."""
-        now = invert_T(self.rig.T_world_gripper) @ self.rig.T_world_target
-        slip = float(np.linalg.norm(now[:3, :3] @ self.held_point + now[:3, 3]))
-        cosine = (np.trace(now[:3, :3] @ self.T_gripper_held[:3, :3].T) - 1.0) / 2.0
-        turned_deg = float(np.rad2deg(np.arccos(np.clip(cosine, -1.0, 1.0))))
+        R_gripper, at_gripper = self.rig.pose_of(self.rig.gripper)
+        R_target, at_target = self.rig.pose_of(self.rig.target)
+        R = R_gripper.T @ R_target
+        offset = R @ self.held_point + R_gripper.T @ (at_target - at_gripper)
+        slip = float(offset @ offset) ** 0.5
+        cosine = (float((R * self.T_gripper_held[:3, :3]).sum()) - 1.0) / 2.0
+        turned_deg = math.degrees(math.acos(min(1.0, max(-1.0, cosine))))
         self.largest_slip_m = max(self.largest_slip_m, slip)
-        lost = self.rig.touching_pads() == 0
-        return reason if lost or slip > self.settings.slip_m or turned_deg > self.settings.slip_deg else None
+        if slip > self.settings.slip_m or turned_deg > self.settings.slip_deg or self.rig.touching_pads() == 0:
+            return reason
+        return None
 
 
 def _moved(T: np.ndarray, offset: np.ndarray) -> np.ndarray:
     return make_T(T[:3, :3], T[:3, 3] + offset)
 
 
-def _turned(T: np.ndarray, axis: np.ndarray, angle_rad: float) -> np.ndarray:
-    return make_T(rotation_about(axis, angle_rad) @ T[:3, :3], T[:3, 3])
+def _stay(share: np.ndarray) -> np.ndarray:
+    return np.zeros((len(share), 3))
 
 
-def _smooth(t: float) -> float:
+def _smooth(t: np.ndarray) -> np.ndarray:
     """Minimum jerk from 0 to 1."""
     return t**3 * (10.0 - 15.0 * t + 6.0 * t**2)
 
 
-def _swing(t: float, cycles: int) -> float:
+def _swing(t: np.ndarray, cycles: int) -> np.ndarray:
     """A sinusoid over t = 0 to 1 that starts and ends gently."""
-    fade = min(1.0, 4.0 * cycles * min(t, 1.0 - t))  # over a quarter of a cycle
-    return _smooth(fade) * float(np.sin(2 * np.pi * cycles * t))
+    fade = np.minimum(1.0, 4.0 * cycles * np.minimum(t, 1.0 - t))  # over a quarter of a cycle
+    return _smooth(fade) * np.sin(2 * np.pi * cycles * t)

@@ -1,0 +1,111 @@
+"""Bench of the grasp trial itself: `gfp-grasp bench trial`.
+
+Grasps planned on true objects are attempted at the simulator's time step and at half and a quarter of it: an outcome
+that depends on the step is the simulator's, not the grasp's. Beside that, what the trial's own code costs.
+"""
+
+# MuJoCo's names come from compiled modules, into which the type checker does not see.
+# pyright: reportAttributeAccessIssue=false
+
+from __future__ import annotations
+
+import time
+from functools import partial
+from typing import Any
+
+import mujoco
+import numpy as np
+
+from gfp_grasp.envs.grasp_env import GfpGraspEnv
+from gfp_grasp.envs.trial import run_trial
+from gfp_grasp.envs.world import TARGET, World
+from gfp_grasp.errors import InvalidOption
+from gfp_grasp.grasps import plan_grasps
+from gfp_grasp.parallel import pmap
+from gfp_grasp.types import Grasp
+
+_STEPS = (1, 2, 4)  # parts of the simulator's time step
+
+
+def bench_trial(
+    objects: str = "cup,mug,bottle",
+    *,
+    limit: int = 24,
+    grasps: int = 4,
+    seed: int = 0,
+    workers: int = 1,
+    progress=None,
+) -> dict[str, Any]:
+    """How outcomes depend on the time step, and how fast attempts are.
+
+    Args:
+        objects: Families, or a folder of meshes.
+        limit: Objects in all.
+        grasps: Attempts on each, the best planned on the true mesh.
+        seed: Of places and plans.
+        workers: Processes; use 1 where the speed matters.
+        progress: Wraps the stream of objects.
+
+    Returns:
+        {"settings", "attempts", "held": successes at each share of the step, "agreement": share of the attempts whose
+        success at half the step is that at the whole one, and at a quarter that at half, "differing": those that do
+        not, "attempts_per_s" a core, "share_in_mj_step": of an attempt's time, median, "trials": every attempt's}.
+    """
+    if limit < 1 or grasps < 1:
+        raise InvalidOption(f"limit is {limit} and grasps {grasps}; at least 1 of each is expected")
+    env = GfpGraspEnv(objects=objects, completer="oracle", limit=limit)
+    run = partial(_trials, objects=objects, limit=limit, grasps=grasps, seed=seed)
+    found = [t for trials in pmap(run, range(len(env.sources)), workers=workers, progress=progress) for t in trials]
+    held = np.array([t["held"] for t in found], dtype=bool).reshape(-1, len(_STEPS))
+    same = held[:, 1:] == held[:, :-1]
+    return {
+        "settings": {"objects": objects, "num_objects": len(env.sources), "grasps": grasps, "seed": seed},
+        "attempts": len(found),
+        "held": {f"1/{part}": int(count) for part, count in zip(_STEPS, held.sum(axis=0), strict=True)},
+        "agreement": [round(float(share), 4) for share in same.mean(axis=0)] if len(found) else None,
+        "differing": [t for t, agree in zip(found, same.all(axis=1), strict=True) if not agree],
+        "attempts_per_s": round(len(found) / max(sum(t["seconds"] for t in found), 1e-9), 2),
+        "share_in_mj_step": round(float(np.median([t["share"] for t in found])), 4) if found else None,
+        "trials": found,
+    }
+
+
+def _trials(number: int, *, objects: str, limit: int, grasps: int, seed: int) -> list[dict[str, Any]]:
+    env = GfpGraspEnv(objects=objects, completer="oracle", limit=limit)
+    env.reset(seed=seed + number, options={"object": number})
+    if env.completion is None or env.world is None:
+        return []
+    return [
+        {"object": env.episode.truth.name, "grasp": rank, **_at_all_steps(env.world, grasp)}
+        for rank, grasp in enumerate(plan_grasps(env.completion, grasps, seed=seed))
+    ]
+
+
+def _at_all_steps(world: World, grasp: Grasp) -> dict[str, Any]:
+    whole = world.model.opt.timestep
+    held, reasons, seconds, share = [], [], 0.0, 0.0
+    for part in _STEPS:
+        world.model.opt.timestep = whole / part
+        world.restore()
+        timer = _Timer()
+        start = time.perf_counter()
+        outcome = run_trial(world.model, world.data, grasp, target=TARGET, stepper=timer)
+        if part == 1:
+            seconds = time.perf_counter() - start
+            share = timer.seconds / seconds
+        held.append(outcome.success)
+        reasons.append(outcome.reason)
+    world.model.opt.timestep = whole
+    return {"held": held, "reasons": reasons, "seconds": round(seconds, 4), "share": round(share, 4)}
+
+
+class _Timer:
+    """MuJoCo's step, timed."""
+
+    def __init__(self) -> None:
+        self.seconds = 0.0
+
+    def __call__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        start = time.perf_counter()
+        mujoco.mj_step(model, data)
+        self.seconds += time.perf_counter() - start
