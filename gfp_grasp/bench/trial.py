@@ -4,19 +4,16 @@ Grasps planned on true objects are attempted at the simulator's time step and at
 that depends on the step is the simulator's, not the grasp's. Beside that, what the trial's own code costs.
 """
 
-# MuJoCo's names come from compiled modules, into which the type checker does not see.
-# pyright: reportAttributeAccessIssue=false
-
 from __future__ import annotations
 
 import time
 from functools import partial
 from typing import Any
 
-import mujoco
 import numpy as np
 
 from gfp_grasp.envs.grasp_env import GfpGraspEnv
+from gfp_grasp.envs.pace import TimedStep
 from gfp_grasp.envs.trial import run_trial
 from gfp_grasp.envs.world import TARGET, World
 from gfp_grasp.errors import InvalidOption
@@ -87,7 +84,7 @@ def _at_all_steps(world: World, grasp: Grasp) -> dict[str, Any]:
     for part in _STEPS:
         world.model.opt.timestep = whole / part
         world.restore()
-        timer = _Timer()
+        timer = TimedStep()
         start = time.perf_counter()
         outcome = run_trial(world.model, world.data, grasp, target=TARGET, stepper=timer)
         if part == 1:
@@ -97,15 +94,3 @@ def _at_all_steps(world: World, grasp: Grasp) -> dict[str, Any]:
         reasons.append(outcome.reason)
     world.model.opt.timestep = whole
     return {"held": held, "reasons": reasons, "seconds": round(seconds, 4), "share": round(share, 4)}
-
-
-class _Timer:
-    """MuJoCo's step, timed."""
-
-    def __init__(self) -> None:
-        self.seconds = 0.0
-
-    def __call__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
-        start = time.perf_counter()
-        mujoco.mj_step(model, data)
-        self.seconds += time.perf_counter() - start

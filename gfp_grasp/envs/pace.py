@@ -1,4 +1,4 @@
-"""How fast MuJoCo steps with an object in the gripper."""
+"""How fast MuJoCo steps, alone and with an object in the gripper."""
 
 # MuJoCo's names come from compiled modules, into which the type checker does not see.
 # pyright: reportAttributeAccessIssue=false
@@ -32,3 +32,19 @@ def held_steps_per_s(parts: tuple[ConvexPart, ...], grasp: Grasp, *, steps: int 
     start = time.perf_counter()
     mujoco.mj_step(world.model, world.data, steps)
     return round(steps / (time.perf_counter() - start), 1)
+
+
+class TimedStep:
+    """MuJoCo's own step that adds up the time it takes.
+
+    Attributes:
+        seconds: In all.
+    """
+
+    def __init__(self) -> None:
+        self.seconds = 0.0
+
+    def __call__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
+        start = time.perf_counter()
+        mujoco.mj_step(model, data)
+        self.seconds += time.perf_counter() - start
