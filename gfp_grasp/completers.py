@@ -199,7 +199,7 @@ def _imported(name: str) -> Callable[[Detection], object]:
         raise UnknownCompleter(f"there is no completer {name!r}: expected {legal}")
     try:
         function = getattr(import_module(module_name), function_name)
-    except (ImportError, AttributeError) as error:
+    except (ImportError, AttributeError, TypeError, ValueError) as error:
         raise UnknownCompleter(f"completer {name!r} cannot be imported ({error}): expected {legal}") from error
     if not callable(function):
         raise UnknownCompleter(f"completer {name!r} is a {type(function).__name__}, not a function of a Detection")

@@ -7,6 +7,7 @@ import time
 import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import asdict, dataclass
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +18,7 @@ from gfp_grasp.completers import completer
 from gfp_grasp.envs.grasp_env import GfpGraspEnv
 from gfp_grasp.envs.settings import TrialSettings
 from gfp_grasp.errors import GfpGraspError, InvalidMesh, InvalidOption
-from gfp_grasp.grasps import planner
+from gfp_grasp.grasps.planners import PLANNERS, planner
 from gfp_grasp.metrics import CompletionErrors, completion_errors
 from gfp_grasp.parallel import pmap
 from gfp_grasp.primitives import list_primitives
@@ -70,10 +71,11 @@ def score(
             planner.
         InvalidMesh: Files of which no object can be made; all of them are named, before anything is scored.
     """
-    if views < 1:
-        raise InvalidOption(f"views is {views}; at least 1 is expected")
-    if grasps < 1:
-        raise InvalidOption(f"grasps is {grasps}; at least 1 is expected")
+    for count, what in ((views, "views"), (grasps, "grasps"), (1 if limit is None else limit, "limit")):
+        if count < 1:
+            raise InvalidOption(f"{what} is {count}; at least 1 is expected")
+    if not completers or len(set(completers)) < len(completers):
+        raise InvalidOption(f"completers are {tuple(completers)}; at least one is expected, and each but once")
     for row in completers:
         name, planner_name = _names(row)
         completer(name)
@@ -92,9 +94,9 @@ def score(
         "num_objects": len(kept),
         "classes": sorted(_classes(classes)),
         "completers": list(completers),
-        "views": views,
-        "grasps": grasps,
-        "seed": seed,
+        "views": int(views),
+        "grasps": int(grasps),
+        "seed": int(seed),
         "trial": asdict(TrialSettings()),
     }
     return Report(settings, tuple(trials))
@@ -182,7 +184,7 @@ def _attempt(job: _Job) -> Trial:
     completed_at = time.perf_counter()
     found, note = (), str(info["completion_error"])
     if env.completion is not None:
-        found, note = _best_grasps(env.completion, job)
+        found, note = _best_grasps(env, env.completion, job)
     planned_at = time.perf_counter()
     grasp = found[0] if found else None
     true_info, completed_info = _in_both_worlds(env, job, grasp)
@@ -215,11 +217,22 @@ def _attempt(job: _Job) -> Trial:
     )
 
 
-def _best_grasps(completion: Completion, job: _Job) -> tuple[Sequence[Grasp], str]:
+def _best_grasps(env: GfpGraspEnv, completion: Completion, job: _Job) -> tuple[tuple[Grasp, ...], str]:
+    name = _names(job.row)[1]
     try:
-        found = planner(_names(job.row)[1])(completion, job.grasps, seed=job.seed)
+        found = tuple(islice(planner(name)(completion, job.grasps, seed=job.seed), job.grasps))
+        for grasp in found:
+            if not isinstance(grasp, Grasp):
+                raise InvalidOption(
+                    f"planner {name!r} gave a {type(grasp).__name__}; a gfp_grasp.types.Grasp is expected"
+                )
+            env.action_code.encode(grasp)
     except GfpGraspError as error:  # e.g. the completion could not be decomposed
         return (), f"{type(error).__name__}: {error}"
+    except Exception as error:
+        if name in PLANNERS:
+            raise
+        return (), f"planner {name!r} failed with {type(error).__name__}: {error}"  # the user's own, of one trial
     return found, "" if found else "the planner found no grasp"
 
 

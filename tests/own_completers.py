@@ -4,6 +4,7 @@ import numpy as np
 import trimesh
 
 from gfp_grasp.errors import FitDiverged
+from gfp_grasp.grasps import plan_grasps
 
 
 def upright_box(detection):
@@ -22,6 +23,21 @@ def gives_up(detection):
 
 def returns_text(detection):
     return "a mesh"
+
+
+def plans_lazily(completion, num, *, seed):
+    """A generator that never ends, of the best antipodal grasp."""
+    best = plan_grasps(completion, 1, seed=seed)[0]
+    while True:
+        yield best
+
+
+def plans_nothing(completion, num, *, seed):
+    return ["a grasp"]
+
+
+def plans_badly(completion, num, *, seed):
+    raise ZeroDivisionError("of my own making")
 
 
 NOT_A_FUNCTION = 3

@@ -7,9 +7,10 @@ import pytest
 import trimesh
 from test_collision_carry import CUP, FLOOR, HEIGHT, INNER, TEMPLATE, completed, primitive, tapered
 
-from gfp_grasp.collision import CollisionConfig, carry_parts, collision_of
+from gfp_grasp.collision import CollisionConfig, carry_parts, collision_of, hull
 from gfp_grasp.collision.budget import fewer_corners
 from gfp_grasp.collision.cavity import ball_radii_m, held_by, widest_gap
+from gfp_grasp.collision.choice import _levels
 from gfp_grasp.collision.convex import Halfspaces, convex_part, volume_m3
 from gfp_grasp.collision.merging import groups_of, merge_tree
 from gfp_grasp.errors import InvalidOption
@@ -100,7 +101,9 @@ def test_a_tolerance_that_nothing_meets_gives_the_best_with_a_warning(monkeypatc
 
     monkeypatch.setattr("gfp_grasp.collision.choice.decompose", five_boxes)
     filled = primitive(CUP, (ConvexPart(CUP.convex_hull.vertices, CUP.convex_hull.faces),))
-    with pytest.warns(RuntimeWarning, match=r"carried parts miss the mesh by .* mm.*5 parts by 1.0, 2.0 mm"):
+    with pytest.warns(
+        RuntimeWarning, match=r"1.0 mm on average, 2.0 mm for 95 %; carried parts miss .* leave 0% of the ball"
+    ):
         found = collision_of(completed(CUP, filled), config=CollisionConfig(tolerance_m=1e-4))
     assert len(found.parts) == 5
     assert "warning" in found.notes
@@ -141,6 +144,61 @@ def test_a_filled_inside_is_no_true_set_of_parts_however_near_its_surface(monkey
     filled = primitive(CUP, (ConvexPart(CUP.convex_hull.vertices, CUP.convex_hull.faces),))
     assert len(collision_of(completed(CUP, filled), config=CollisionConfig(max_parts=7)).parts) == 5
     assert called == [7]
+
+
+def test_a_loose_tolerance_never_asks_coacd_where_a_finer_level_keeps_the_inside_free(monkeypatch):
+    def refuse(mesh, config):
+        raise AssertionError("CoACD was asked")
+
+    monkeypatch.setattr("gfp_grasp.collision.choice.decompose", refuse)
+    for category in ("cup", "mug"):
+        found = collision_of(as_it_is(load_primitive(category)), config=CollisionConfig(tolerance_m=0.05))
+        assert found.notes["ball_left_m"] > 0.8 * found.notes["ball_m"]  # type: ignore[operator]
+        assert len(found.parts) < 40
+
+
+def test_of_few_parts_as_many_are_taken_as_there_may_be_and_not_the_hull():
+    for category in ("cup", "mug"):
+        template = load_primitive(category)
+        for most in (6, 8, 16):
+            assert _levels(template, template.vertices, CollisionConfig(max_parts=most)) == [most]
+
+
+def test_coacds_parts_that_fill_the_inside_do_not_replace_hollow_ones(monkeypatch):
+    def nearer_hull(mesh, config):
+        return replace(hull(mesh), error_m=(1e-6, 2e-6, 3e-6), made_by="coacd")
+
+    monkeypatch.setattr("gfp_grasp.collision.choice.decompose", nearer_hull)
+    with pytest.warns(RuntimeWarning, match="CoACD's 1 parts miss.*leave 0% of the ball"):
+        found = collision_of(completed(CUP, TEMPLATE), config=CollisionConfig(tolerance_m=1e-9))
+    assert found.made_by == "carried"
+
+
+def test_parts_that_meet_the_bound_win_whatever_their_mean(monkeypatch):
+    def true_ones(mesh, config):
+        return replace(collision_of(completed(mesh, TEMPLATE)), error_m=(1e-2, 1e-5, 1e-2), made_by="coacd")
+
+    monkeypatch.setattr("gfp_grasp.collision.choice.decompose", true_ones)
+    bulged = trimesh.Trimesh(tapered(CUP.vertices), CUP.faces, process=False)
+    found = collision_of(completed(bulged, TEMPLATE), config=CollisionConfig(tolerance_m=1.1e-5, max_parts=2))
+    assert found.made_by == "coacd"
+
+
+def test_a_hull_that_misses_its_tolerance_says_so():
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=0.05)
+    with pytest.warns(RuntimeWarning, match="the hull misses? the mesh by|the hull miss"):
+        collision_of(completed(ball, None), config=CollisionConfig(max_vertices_per_part=6, tolerance_m=0.001))
+
+
+def test_numbers_of_numpy_are_numbers():
+    config = CollisionConfig(max_parts=np.int64(3), tolerance_m=np.float32(0.01))  # type: ignore[arg-type]
+    assert config.max_parts == 3
+
+
+@pytest.mark.parametrize("options", [{"count": 0}, {"max_vertices": 3}])
+def test_less_than_a_part_of_four_corners_is_refused(options):
+    with pytest.raises(InvalidOption, match="at least one of four"):
+        carry_parts(TEMPLATE, CUP.vertices, **options)
 
 
 @pytest.mark.parametrize(

@@ -84,6 +84,20 @@ def test_the_report_is_written_and_tabled(report, tmp_path):
     assert table[3]["failures"] == "no_grasp_found 2"
 
 
+@pytest.mark.parametrize(
+    ("planner", "reason", "note"),
+    [
+        ("plans_lazily", "held", ""),
+        ("plans_nothing", "no_grasp_found", "gave a str"),
+        ("plans_badly", "no_grasp_found", "failed with ZeroDivisionError: of my own making"),
+    ],
+)
+def test_a_planner_of_ones_own_costs_its_own_trials_at_most(folder, planner, reason, note):
+    report = score(folder, [f"oracle/own_completers:{planner}"], views=1, seed=5, limit=1)
+    assert [trial.reason for trial in report.trials] == [reason]
+    assert note in report.trials[0].note
+
+
 def test_classes_choose_the_objects(folder):
     report = score(folder, ["own_completers:gives_up"], views=1, classes=("anvil",))
     assert [trial.object for trial in report.trials] == ["heavy"]
@@ -96,6 +110,9 @@ def test_classes_choose_the_objects(folder):
     [
         ({"views": 0}, InvalidOption, "views is 0"),
         ({"grasps": 0}, InvalidOption, "grasps is 0"),
+        ({"limit": 0}, InvalidOption, "limit is 0"),
+        ({"completers": ()}, InvalidOption, "at least one"),
+        ({"completers": ("mirror", "mirror")}, InvalidOption, "each but once"),
         ({"completers": ("mirror/magic",)}, InvalidOption, "no planner 'magic'.*antipodal"),
         ({"completers": ("mirror/own_completers:missing",)}, InvalidOption, "cannot be imported"),
         ({"completers": ("mirror/own_completers:__doc__",)}, InvalidOption, "is a str, not a function"),

@@ -52,7 +52,7 @@ def bench_collision(
     Args:
         objects: Families, or a folder of meshes.
         methods: Of METHODS.
-        limit: Objects of each; None for all.
+        limit: Objects in all, families taking turns; None for all.
         truth: Decompose the true meshes as well, by all methods but "carried".
         seed: Of views and samples.
         workers: Processes; use 1 where the times matter.

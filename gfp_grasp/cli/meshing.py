@@ -101,6 +101,8 @@ def decompose(
         seed=seed,
     )
     solid = load_mesh(mesh, suffixes=every_suffix())
+    if solid.is_watertight and solid.volume < 0:  # inside out
+        solid.invert()
     with stages(time_limit) as tell:
         collision = split(solid, config=config, progress=tell)
     parts = [part.to_trimesh() for part in collision.parts]

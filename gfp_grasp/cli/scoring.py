@@ -31,7 +31,7 @@ def score(
 
     report = run(
         objects,
-        tuple(completers.split(",")),
+        tuple(name.strip() for name in completers.split(",")),
         views=views,
         grasps=grasps,
         seed=seed,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import numbers
 from dataclasses import dataclass
 from functools import cache
 
@@ -35,7 +36,9 @@ class CollisionConfig:
         if most is not None and (not _whole(most) or most < 4):
             raise InvalidOption(f"max_vertices_per_part is {most!r}; a whole number from 4 on, or None, is expected")
         tolerance = self.tolerance_m
-        if tolerance is not None and not (isinstance(tolerance, int | float) and 0 < tolerance < math.inf):
+        if tolerance is not None and not (
+            isinstance(tolerance, numbers.Real) and not isinstance(tolerance, bool) and 0 < tolerance < math.inf
+        ):
             raise InvalidOption(f"tolerance_m is {tolerance!r}; a positive number of metres, or None, is expected")
 
 
@@ -83,4 +86,4 @@ def _directions(count: int) -> np.ndarray:
 
 
 def _whole(value: object) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool)
+    return isinstance(value, numbers.Integral) and not isinstance(value, bool)

@@ -8,7 +8,6 @@ neighbours. Vertices of the template within a part are carried with it: where th
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import lru_cache
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -17,7 +16,7 @@ from scipy.sparse import csr_matrix
 
 from gfp_grasp.collision.convex import convex_parts, within_parts
 from gfp_grasp.collision.merging import groups_of, merge_tree
-from gfp_grasp.errors import InvalidMesh
+from gfp_grasp.errors import InvalidMesh, InvalidOption
 from gfp_grasp.types import ConvexPart, GenericPrimitive
 
 # CoACD's arithmetic scatters points of the surface by about 1e-8 of the size; this is far above it and below any wall.
@@ -51,6 +50,7 @@ class _Binding:
 
 
 _bindings: WeakKeyDictionary[GenericPrimitive, _Binding] = WeakKeyDictionary()
+_levels: WeakKeyDictionary[GenericPrimitive, dict[int, list[list[int]]]] = WeakKeyDictionary()
 
 
 def carry_parts(
@@ -74,7 +74,10 @@ def carry_parts(
 
     Raises:
         InvalidMesh: The primitive has no parts, the vertices are not its own or not finite, or nothing solid is left.
+        InvalidOption: Less than one part, or than four vertices.
     """
+    if (count is not None and count < 1) or (max_vertices is not None and max_vertices < 4):
+        raise InvalidOption(f"{count} parts of {max_vertices} vertices; at least one of four is expected")
     primitive = bearer(primitive, len(deformed_local))
     if not primitive.parts:
         raise InvalidMesh(f"primitive {primitive.category!r} has no convex parts: `gfp-grasp gps parts` makes them")
@@ -97,12 +100,14 @@ def _binding(primitive: GenericPrimitive) -> _Binding:
     return found
 
 
-@lru_cache(maxsize=64)
 def _groups(primitive: GenericPrimitive, count: int) -> list[list[int]]:
-    merges = primitive.part_merges
-    if len(merges) != len(primitive.parts) - 1:
-        merges = merge_tree(primitive.parts)
-    return groups_of(merges, len(primitive.parts), count)
+    levels = _levels.setdefault(primitive, {})
+    if count not in levels:
+        merges = primitive.part_merges
+        if len(merges) != len(primitive.parts) - 1:
+            merges = merge_tree(primitive.parts)
+        levels[count] = groups_of(merges, len(primitive.parts), count)
+    return levels[count]
 
 
 def bearer(primitive: GenericPrimitive, num_vertices: int) -> GenericPrimitive:

@@ -12,7 +12,7 @@ from gfp_grasp.collision.convex import Halfspaces
 from gfp_grasp.types import ConvexPart
 
 _DRAWN = 6000
-_LEAST_M = 0.002  # gaps of which no larger ball is to be found are dents
+LEAST_BALL_M = 0.002  # gaps of which no larger ball is to be found are dents
 _AROUND = 1.5  # vertices within this many radii hold the centre of a ball in place
 _HOLDERS = 64
 
@@ -44,8 +44,8 @@ def widest_gap(mesh: trimesh.Trimesh, *, seed: int = 0) -> np.ndarray | None:
         if len(wider):
             first = wider[distance[wider].argmax()]
             best, radius = places[first], float(distance[first])
-        low, high = best - max(radius, _LEAST_M), best + max(radius, _LEAST_M)
-    return best if radius > _LEAST_M else None
+        low, high = best - max(radius, LEAST_BALL_M), best + max(radius, LEAST_BALL_M)
+    return best if radius > LEAST_BALL_M else None
 
 
 def held_by(point: np.ndarray, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -4,21 +4,22 @@ from __future__ import annotations
 
 import time
 import warnings
+from collections.abc import Sequence
 from dataclasses import replace
-from functools import lru_cache
+from weakref import WeakKeyDictionary
 
 import numpy as np
 import trimesh
 
 from gfp_grasp.collision.budget import CollisionConfig
 from gfp_grasp.collision.carry import bearer, carry_parts
-from gfp_grasp.collision.cavity import ball_radii_m, held_by, widest_gap
+from gfp_grasp.collision.cavity import LEAST_BALL_M, ball_radii_m, held_by, widest_gap
 from gfp_grasp.collision.config import DecomposeConfig
 from gfp_grasp.collision.convex import Halfspaces, convex_part, volume_m3
 from gfp_grasp.collision.decomposition import decompose, hull
 from gfp_grasp.collision.fidelity import union_error_m, volume_ratios
 from gfp_grasp.errors import DecompositionFailed, InvalidMesh
-from gfp_grasp.types import CollisionMesh, CompletedShape, GenericPrimitive
+from gfp_grasp.types import CollisionMesh, CompletedShape, ConvexPart, GenericPrimitive
 
 # Mean error of carried parts over the diagonal, beyond which CoACD is worth its time. A mug's parts carried through a
 # bulge of a fifth of its radius stay below 0.01.
@@ -27,9 +28,11 @@ _CARRIED_LIMIT = 0.01
 _CAVITY_LEFT = 0.8
 # The hull of a convex mesh adds nothing but rounding to its volume.
 _CONVEX_EXCESS = 1e-3
-# Parts that bring the template's surface nearer by less than this on average are not worth their time.
-_NEXT_TO_NOTHING_M = 2e-5
+# Parts that bring the template's surface nearer by less than this, on average and for 95 %, are not worth their time.
+_NEXT_TO_NOTHING_M = np.array([2e-5, 2e-4])
 _SAMPLES = 300
+# Vertices and weights that hold the centre of the largest ball in a primitive; None where there is none.
+_gaps: WeakKeyDictionary[GenericPrimitive, tuple[np.ndarray, np.ndarray] | None] = WeakKeyDictionary()
 
 
 def collision_of(shape: CompletedShape, *, config: CollisionConfig = CollisionConfig()) -> CollisionMesh:
@@ -38,7 +41,7 @@ def collision_of(shape: CompletedShape, *, config: CollisionConfig = CollisionCo
     The parts of the primitive it was fitted with are carried along where the mesh has the primitive's (or its twin's)
     vertices; a convex mesh is its own hull; else CoACD runs. It runs too where carried parts miss their bound: the
     config's tolerance or else 1 % of the diagonal on average, and four fifths of the ball that fits into a hollow
-    thing. Of two that miss it the better one is given, with a warning.
+    thing. Of two that miss it the better one is given. What misses it comes with a warning that tells the figures.
 
     Args:
         shape: Its mesh in any frame; the parts come in the same.
@@ -48,7 +51,8 @@ def collision_of(shape: CompletedShape, *, config: CollisionConfig = CollisionCo
         The parts with their two-sided error. `notes` of carried ones: level (of the primitive's tree of merges),
         carrying_s, dropped (slivers), volume_ratio and union_volume_ratio (of the parts over the mesh's, overlaps
         counted as often as they are, or once), ball_m and ball_left_m (radius of a ball that fits into the mesh, and
-        of that which fits between the parts at the same place), where there is room for one.
+        of that which fits between the parts at the same place), where there is room for one. CoACD's, where carried
+        parts gave way to them, have the ball as well.
 
     Raises:
         InvalidMesh: The mesh is flat or too small for MuJoCo.
@@ -58,8 +62,10 @@ def collision_of(shape: CompletedShape, *, config: CollisionConfig = CollisionCo
     if carried is not None:
         return carried if _is_true(carried, shape, config) else _decomposed_or(carried, shape, config)
     if _is_convex(shape.mesh):
-        return hull(shape.mesh, max_vertices=config.max_vertices_per_part)
-    return decompose(shape.mesh, config=_as_coacd(config))
+        found = hull(shape.mesh, max_vertices=config.max_vertices_per_part)
+    else:
+        found = decompose(shape.mesh, config=_as_coacd(config))
+    return found if _is_true(found, shape, config) else _with_warning(found, "more parts or vertices are needed")
 
 
 def _is_convex(mesh: trimesh.Trimesh) -> bool:
@@ -85,7 +91,7 @@ def _carried(shape: CompletedShape, config: CollisionConfig) -> CollisionMesh | 
             found = _measured(primitive, shape.mesh, level, config)
         except InvalidMesh:  # flattened
             return None
-        if config.tolerance_m is None or found.error_m[1] <= config.tolerance_m:
+        if config.tolerance_m is None or _is_true(found, shape, config):
             break
     assert found is not None
     return replace(found, seconds=time.monotonic() - started)
@@ -98,7 +104,8 @@ def _levels(primitive: GenericPrimitive, vertices: np.ndarray, config: Collision
     if len(errors_m) != len(primitive.parts):
         return [most]
     if config.tolerance_m is None:
-        return [1 + int(np.argmax(errors_m[:most, 0] <= errors_m[most - 1, 0] + _NEXT_TO_NOTHING_M))]
+        worse = np.flatnonzero((errors_m[:most] > errors_m[most - 1] + _NEXT_TO_NOTHING_M).any(axis=1))
+        return [int(worse[-1]) + 2 if len(worse) else 1]
     # What is larger than the template is off by more.
     growth = float(np.linalg.norm(np.ptp(vertices, axis=0)) / np.linalg.norm(np.ptp(primitive.vertices, axis=0)))
     enough = np.flatnonzero(errors_m[:most, 1] * growth <= config.tolerance_m)
@@ -122,47 +129,73 @@ def _measured(primitive: GenericPrimitive, mesh: trimesh.Trimesh, level: int, co
         "volume_ratio": ratio,
         "union_volume_ratio": union_ratio,
     }
-    gap = _gap_of(primitive)
-    if gap is not None:
-        holders, weights = gap
-        notes["ball_m"], notes["ball_left_m"] = ball_radii_m(weights @ mesh.vertices[holders], mesh, parts, planes)
+    notes |= _ball(primitive, mesh, parts, planes)
     error = union_error_m(parts, mesh, count=_SAMPLES, rng=rng, planes=planes)
     return CollisionMesh(parts, error, "carried", time.monotonic() - started, notes)
 
 
-@lru_cache(maxsize=64)
-def _gap_of(primitive: GenericPrimitive) -> tuple[np.ndarray, np.ndarray] | None:
-    """Vertices and weights that hold the centre of the largest ball in a primitive; None where there is none."""
-    centre = widest_gap(trimesh.Trimesh(primitive.vertices, primitive.faces, process=False))
-    return None if centre is None else held_by(centre, primitive.vertices)
+def _ball(
+    primitive: GenericPrimitive, mesh: trimesh.Trimesh, parts: Sequence[ConvexPart], planes: Halfspaces
+) -> dict[str, object]:
+    """Notes of the ball in a completed primitive; none where it has no gap that is worth the name."""
+    if primitive not in _gaps:
+        centre = widest_gap(trimesh.Trimesh(primitive.vertices, primitive.faces, process=False))
+        _gaps[primitive] = None if centre is None else held_by(centre, primitive.vertices)
+    gap = _gaps[primitive]
+    if gap is None:
+        return {}
+    holders, weights = gap
+    free, left = ball_radii_m(weights @ mesh.vertices[holders], mesh, parts, planes)
+    return {"ball_m": free, "ball_left_m": left} if free > LEAST_BALL_M else {}
 
 
 def _is_true(found: CollisionMesh, shape: CompletedShape, config: CollisionConfig) -> bool:
-    if "ball_m" in found.notes and found.notes["ball_left_m"] < _CAVITY_LEFT * found.notes["ball_m"]:  # type: ignore[operator]
+    if _room(found) < _CAVITY_LEFT:
         return False
     if config.tolerance_m is not None:
         return found.error_m[1] <= config.tolerance_m
+    if found.made_by == "coacd" and shape.fit is None:  # nothing else was asked of it
+        return True
     return found.error_m[0] <= _CARRIED_LIMIT * float(np.linalg.norm(np.ptp(shape.mesh.vertices, axis=0)))
 
 
+def _room(found: CollisionMesh) -> float:
+    """Share of the ball in the mesh that fits between the parts; 1 where there is none."""
+    notes = found.notes
+    return float(notes["ball_left_m"] / notes["ball_m"]) if "ball_m" in notes else 1.0  # type: ignore[operator]
+
+
 def _decomposed_or(carried: CollisionMesh, shape: CompletedShape, config: CollisionConfig) -> CollisionMesh:
-    """CoACD's parts where they are closer to the mesh than the carried ones."""
-    mean, high = (f"{1e3 * error:.1f} mm" for error in carried.error_m[:2])
-    said = f"carried parts miss the mesh by {mean} on average, {high} for 95 %"
+    """CoACD's parts where they are truer to the mesh than the carried ones."""
+    assert shape.fit is not None
     try:
         fresh = decompose(shape.mesh, config=_as_coacd(config))
-    except DecompositionFailed as error:
-        warnings.warn(f"{said}, and are kept as CoACD failed: {error}", RuntimeWarning, stacklevel=3)
-        return replace(carried, notes={**carried.notes, "warning": said})
-    if fresh.error_m[0] >= carried.error_m[0]:
-        warnings.warn(f"{said}, and are kept as CoACD's miss it by more", RuntimeWarning, stacklevel=3)
-        return replace(carried, notes={**carried.notes, "warning": said})
-    fresh = replace(fresh, notes={**fresh.notes, "carried_error_m": carried.error_m})
-    if not _is_true(fresh, shape, config):
-        said += f"; CoACD's {len(fresh.parts)} parts by {1e3 * fresh.error_m[0]:.1f}, {1e3 * fresh.error_m[1]:.1f} mm"
-        warnings.warn(f"{said}: more parts, or a larger tolerance, are needed", RuntimeWarning, stacklevel=3)
-        fresh = replace(fresh, notes={**fresh.notes, "warning": said})
-    return fresh
+    except (DecompositionFailed, InvalidMesh) as error:
+        return _with_warning(carried, f"they are kept, as CoACD failed: {error}")
+    primitive = bearer(shape.fit.primitive, len(shape.mesh.vertices))
+    ball = _ball(primitive, shape.mesh, fresh.parts, Halfspaces.of(fresh.parts))
+    fresh = replace(fresh, notes={**fresh.notes, **ball, "carried_error_m": carried.error_m})
+    if _is_true(fresh, shape, config):
+        return fresh
+    hollow = [_room(found) >= _CAVITY_LEFT for found in (fresh, carried)]
+    if hollow[0] != hollow[1]:
+        better, other = (fresh, carried) if hollow[0] else (carried, fresh)
+    else:
+        better, other = sorted((fresh, carried), key=lambda found: found.error_m[0])
+    return _with_warning(better, f"{_said(other)}; more parts, or a larger tolerance, are needed")
+
+
+def _with_warning(found: CollisionMesh, more: str) -> CollisionMesh:
+    said = f"{_said(found)}; {more}"
+    warnings.warn(said, RuntimeWarning, stacklevel=4)
+    return replace(found, notes={**found.notes, "warning": said})
+
+
+def _said(found: CollisionMesh) -> str:
+    whose = {"carried": "carried parts", "hull": "the hull"}.get(found.made_by, f"CoACD's {len(found.parts)} parts")
+    mean, high = (f"{1e3 * error:.1f} mm" for error in found.error_m[:2])
+    room = "" if _room(found) >= _CAVITY_LEFT else f", and leave {_room(found):.0%} of the ball that fits inside"
+    return f"{whose} miss the mesh by {mean} on average, {high} for 95 %{room}"
 
 
 def _as_coacd(config: CollisionConfig) -> DecomposeConfig:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import numbers
 from dataclasses import asdict, dataclass
 from typing import Literal
 
@@ -121,7 +122,7 @@ class DecomposeConfig:
 
 
 def _number(value: object, name: str, low: float, high: float) -> None:
-    number = float(value) if isinstance(value, int | float) and not isinstance(value, bool) else math.nan
+    number = float(value) if isinstance(value, numbers.Real) and not isinstance(value, bool) else math.nan
     if not math.isfinite(number) or not low <= number <= high or number == 0.0:
         start = "above 0" if low == 0.0 else f"at least {low:g}"
         end = "" if high == math.inf else f", at most {high:g}"
@@ -129,7 +130,7 @@ def _number(value: object, name: str, low: float, high: float) -> None:
 
 
 def _whole(value: object, name: str, low: int, high: int, also: str = "") -> None:
-    if not isinstance(value, int) or isinstance(value, bool) or not low <= value <= high:
+    if not isinstance(value, numbers.Integral) or isinstance(value, bool) or not low <= int(value) <= high:
         raise InvalidOption(f"{name} is {value!r}; a whole number from {low} to {high} is expected{also}")
 
 

@@ -162,11 +162,13 @@ def hull(mesh: trimesh.Trimesh, *, max_vertices: int | None = None) -> Collision
 
     Args:
         mesh: Metres.
-        max_vertices: Most vertices of it; None for no limit.
+        max_vertices: Most vertices of it, at least 4; None for no limit.
 
     Raises:
         InvalidMesh: Empty, not finite, badly indexed, flat, or too small for MuJoCo.
     """
+    if max_vertices is not None and max_vertices < 4:
+        raise InvalidOption(f"max_vertices is {max_vertices}; at least 4, or None, is expected")
     started = time.monotonic()
     used = _used(check_mesh(mesh))
     part = _whole_hull(used, max_vertices)

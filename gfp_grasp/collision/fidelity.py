@@ -31,7 +31,8 @@ def union_error_m(
     """Two-sided distance between the surface of the parts' union and a mesh.
 
     Samples lie on both surfaces; each is measured to the triangles of the other whose centroids or samples are nearest,
-    so that the spacing of the samples does not count as error. Surfaces of parts within other parts are left out.
+    so that the spacing of the samples does not count as error, but for a little where triangles are much longer than
+    it. Surfaces of parts within other parts are left out.
 
     Args:
         parts: Convex parts, m.

@@ -119,8 +119,8 @@ def write_parts(key: str, collision: CollisionMesh) -> None:
 
 def cache_folder() -> Path | None:
     """Where parts are kept; None where nothing shall be, or nobody knows where the user is at home."""
-    chosen = os.environ.get(CACHE_VARIABLE)
-    if chosen == "off":
+    chosen = os.environ.get(CACHE_VARIABLE, "")
+    if chosen.lower() == "off":
         return None
     try:
         if chosen:

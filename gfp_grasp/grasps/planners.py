@@ -39,7 +39,7 @@ def planner(name: str) -> Planner:
         raise InvalidOption(f"there is no planner {name!r}: expected {legal}")
     try:
         function = getattr(import_module(module_name), function_name)
-    except (ImportError, AttributeError) as error:
+    except (ImportError, AttributeError, TypeError, ValueError) as error:
         raise InvalidOption(f"planner {name!r} cannot be imported ({error}): expected {legal}") from error
     if not callable(function):
         raise InvalidOption(f"planner {name!r} is a {type(function).__name__}, not a function of a completion")

@@ -36,7 +36,9 @@ def plan_top_down(
         raise InvalidOption(f"num is {num}; a positive number of grasps is expected")
     config = config or GraspConfig()
     detection = completion.detection
-    points, up = np.asarray(detection.cloud.points), detection.up
+    points, up = np.asarray(detection.cloud.points), detection.up / np.linalg.norm(detection.up)
+    if len(points) < 3:
+        return ()
     across = np.cross(up, np.eye(3)[int(np.argmin(np.abs(up)))])
     across /= np.linalg.norm(across)
     flat = np.column_stack([across, np.cross(up, across)])
