@@ -13,6 +13,7 @@ from weakref import WeakKeyDictionary
 import numpy as np
 import trimesh
 from scipy.sparse import csr_matrix
+from scipy.spatial import KDTree
 
 from gfp_grasp.collision.convex import convex_parts, within_parts
 from gfp_grasp.collision.merging import groups_of, merge_tree
@@ -21,6 +22,7 @@ from gfp_grasp.types import ConvexPart, GenericPrimitive
 
 # CoACD's arithmetic scatters points of the surface by about 1e-8 of the size; this is far above it and below any wall.
 _ON_SURFACE_M = 1e-6
+_FEW = 12
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,7 +137,7 @@ def _bind(primitive: GenericPrimitive) -> _Binding:
         for index, part in enumerate(primitive.parts)
     ]
     points = np.concatenate(clouds)
-    feet, _, face = trimesh.proximity.closest_point(template, points)
+    feet, face = _on_surface(template, points)
     corners = primitive.faces[face]
     triangles = primitive.vertices[corners]
     barycentric = _barycentric(triangles, feet)
@@ -144,6 +146,21 @@ def _bind(primitive: GenericPrimitive) -> _Binding:
     normals, edge = _frames(triangles)
     height = np.einsum("ij,ij->i", points - feet, normals)
     return _Binding(weights, corners, height, edge, np.cumsum([len(cloud) for cloud in clouds]))
+
+
+def _on_surface(template: trimesh.Trimesh, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Nearest places (n, 3) on a mesh and their faces (n,): of most points, which lie on it, among a few near faces."""
+    triangles = np.asarray(template.triangles)
+    near = KDTree(triangles.mean(axis=1)).query(points, k=min(_FEW, len(triangles)))[1].reshape(len(points), -1)
+    feet = trimesh.triangles.closest_point(triangles[near.ravel()], np.repeat(points, near.shape[1], axis=0))
+    feet = feet.reshape(*near.shape, 3)
+    distance = np.linalg.norm(feet - points[:, None], axis=2)
+    best, rows = distance.argmin(axis=1), np.arange(len(points))
+    feet, face = feet[rows, best], near[rows, best]
+    off = np.flatnonzero(distance[rows, best] > _ON_SURFACE_M)
+    if len(off):
+        feet[off], _, face[off] = trimesh.proximity.closest_point(template, points[off])
+    return feet, face
 
 
 def _barycentric(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ from gfp_grasp.collision.convex import Halfspaces
 from gfp_grasp.types import ConvexPart
 
 _DRAWN = 6000
-LEAST_BALL_M = 0.002  # gaps of which no larger ball is to be found are dents
+LEAST_BALL_M = 0.005  # what no larger ball fits into is a dent
 _AROUND = 1.5  # vertices within this many radii hold the centre of a ball in place
 _HOLDERS = 64
 
