@@ -27,6 +27,8 @@ from gfp_grasp.scenes import ObjectSource, load_objects
 from gfp_grasp.types import Grasp
 
 ALL_CLASSES = "*"
+# What a planner of one's own may fail with at the cost of its own trials.
+_OF_USERS = (ArithmeticError, AssertionError, AttributeError, LookupError, RuntimeError, TypeError, ValueError)
 BRACKETED = ("observed", "observed/top-down", "mirror", "gfs", "registration", "gfpnet-paper", "gfpnet", "oracle")
 Progress = Callable[[Iterable[Trial], int], Iterable[Trial]]
 
@@ -229,7 +231,7 @@ def _best_grasps(env: GfpGraspEnv, completion: Completion, job: _Job) -> tuple[t
             env.action_code.encode(grasp)
     except GfpGraspError as error:  # e.g. the completion could not be decomposed
         return (), f"{type(error).__name__}: {error}"
-    except Exception as error:
+    except _OF_USERS as error:
         if name in PLANNERS:
             raise
         return (), f"planner {name!r} failed with {type(error).__name__}: {error}"  # the user's own, of one trial

@@ -191,10 +191,11 @@ def test_a_lack_of_memory_is_contained():
 @LINUX
 def test_no_process_is_left_when_time_runs_out():
     close_workers()
+    before = children()  # multiprocessing's own, where an earlier test had workers
     sphere = trimesh.creation.icosphere(subdivisions=5, radius=0.1)
     with pytest.raises(ChildLostError, match="no answer"):
         run_guarded(np.array(sphere.vertices), np.array(sphere.faces), {}, time_limit_s=0.02, memory_limit_mb=None)
-    assert children() == set()
+    assert children() <= before
 
 
 def test_threads_work_side_by_side():
