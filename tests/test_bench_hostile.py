@@ -244,3 +244,8 @@ def test_negative_counts_are_refused():
         HostileBench(-1, 0)
     with pytest.raises(InvalidOption, match="workers"):
         bench_hostile(workers=0)
+
+
+def test_a_soup_of_which_joining_leaves_nothing_is_refused_by_name():
+    with pytest.raises(InvalidMesh, match="no solid could be made"):
+        make_solid(hostile_mesh(3286)[1])

@@ -45,6 +45,11 @@ def make_solid(mesh: trimesh.Trimesh) -> tuple[trimesh.Trimesh, float]:
         InvalidMesh: Not a usable mesh, or nothing of any volume came of it.
     """
     joined = _joined(check_mesh(mesh))
+    nothing = InvalidMesh(
+        f"no solid could be made of the mesh of {len(mesh.faces)} faces: is it more than stray triangles?"
+    )
+    if len(joined.faces) == 0:  # all of them needles that joining has closed
+        raise nothing
     if _is_solid(joined):
         return joined, 0.0
     repairs: tuple[Callable[[trimesh.Trimesh], trimesh.Trimesh | None], ...] = (_united, _patched, remeshed)
@@ -57,9 +62,7 @@ def make_solid(mesh: trimesh.Trimesh) -> tuple[trimesh.Trimesh, float]:
         )
         if repair is remeshed or error <= _LOST * float(np.linalg.norm(joined.extents)):
             return solid, error
-    raise InvalidMesh(
-        f"no solid could be made of the mesh of {len(mesh.faces)} faces: is it more than stray triangles?"
-    )
+    raise nothing
 
 
 def _is_solid(mesh: trimesh.Trimesh) -> bool:
