@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property, partial
-from importlib import import_module
 
 import numpy as np
 import trimesh
@@ -16,6 +15,7 @@ from gfp_grasp.deform import DeformConfig
 from gfp_grasp.errors import InvalidCloud, InvalidMesh, InvalidOption, UnknownCompleter
 from gfp_grasp.meshes import check_mesh, make_solid
 from gfp_grasp.observation import mark_observed
+from gfp_grasp.plugins import imported_function
 from gfp_grasp.register import icp_config, pcrnet_config
 from gfp_grasp.types import CollisionMesh, CompletedShape, ConvexPart, Detection
 
@@ -84,7 +84,10 @@ def completer(name: str) -> Completer:
     }
     if name in built_in:
         return built_in[name]
-    return _of_user(_imported(name))
+    on_offer = ", ".join(COMPLETERS)
+    return _of_user(
+        imported_function(name, what="completer", of="a Detection", on_offer=on_offer, error=UnknownCompleter)
+    )
 
 
 def needs_class(name: str) -> bool:
@@ -190,20 +193,6 @@ def _shape(mesh: trimesh.Trimesh, detection: Detection) -> CompletedShape:
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
     observed, sigma = mark_observed(vertices, faces, detection, np.full(len(vertices), np.nan))
     return CompletedShape(mesh, observed, sigma)
-
-
-def _imported(name: str) -> Callable[[Detection], object]:
-    module_name, colon, function_name = name.partition(":")
-    legal = f"{', '.join(COMPLETERS)}, or package.module:function"
-    if not (module_name and colon and function_name):
-        raise UnknownCompleter(f"there is no completer {name!r}: expected {legal}")
-    try:
-        function = getattr(import_module(module_name), function_name)
-    except (ImportError, AttributeError, TypeError, ValueError) as error:
-        raise UnknownCompleter(f"completer {name!r} cannot be imported ({error}): expected {legal}") from error
-    if not callable(function):
-        raise UnknownCompleter(f"completer {name!r} is a {type(function).__name__}, not a function of a Detection")
-    return function
 
 
 def _of_user(function: Callable[[Detection], object]) -> Completer:

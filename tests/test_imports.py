@@ -13,7 +13,7 @@ import gfp_grasp
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "gfp_grasp"
 ROWS = (
-    ("errors", "types", "assets", "transforms", "parallel"),
+    ("errors", "types", "assets", "transforms", "parallel", "plugins"),
     ("camera", "meshes", "metrics", "shapes", "collision"),
     ("arguments", "observation", "primitives", "detect", "register", "deform", "grasps"),
     ("complete", "completers", "completion", "export", "scenes", "datasets", "captures"),

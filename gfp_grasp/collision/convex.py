@@ -126,14 +126,7 @@ def within_parts(points: np.ndarray, parts: Sequence[ConvexPart], *, margin_m: f
 
 def volume_m3(part: ConvexPart) -> float:
     """Volume of a convex part."""
-    return float(volumes_m3([part])[0])
-
-
-def volumes_m3(parts: Sequence[ConvexPart]) -> np.ndarray:
-    """Volumes (p,) of convex parts."""
-    corners = np.concatenate([(part.vertices - part.vertices[0])[part.faces] for part in parts])
-    ends = np.cumsum([len(part.faces) for part in parts])
-    return np.add.reduceat(six_volumes(corners), np.append(0, ends[:-1])) / 6
+    return float(six_volumes((part.vertices - part.vertices[0])[part.faces]).sum()) / 6
 
 
 def six_volumes(corners: np.ndarray) -> np.ndarray:

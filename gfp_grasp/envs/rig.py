@@ -144,4 +144,4 @@ class Rig:
         return bool(speed @ speed > too_fast_mps**2)
 
     def _pose(self, body: int) -> np.ndarray:
-        return make_T(self.data.xmat[body].reshape(3, 3), self.data.xpos[body])
+        return make_T(*self.pose_of(body))

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from importlib import import_module
 from typing import Protocol, cast
 
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.grasps.plan import Graspable, plan_grasps
 from gfp_grasp.grasps.top_down import plan_top_down
+from gfp_grasp.plugins import imported_function
 from gfp_grasp.types import Grasp
 
 
@@ -33,14 +33,6 @@ def planner(name: str) -> Planner:
     """
     if name in PLANNERS:
         return PLANNERS[name]
-    legal = f"{', '.join(PLANNERS)}, or package.module:function"
-    module_name, colon, function_name = name.partition(":")
-    if not (module_name and colon and function_name):
-        raise InvalidOption(f"there is no planner {name!r}: expected {legal}")
-    try:
-        function = getattr(import_module(module_name), function_name)
-    except (ImportError, AttributeError, TypeError, ValueError) as error:
-        raise InvalidOption(f"planner {name!r} cannot be imported ({error}): expected {legal}") from error
-    if not callable(function):
-        raise InvalidOption(f"planner {name!r} is a {type(function).__name__}, not a function of a completion")
+    on_offer = ", ".join(PLANNERS)
+    function = imported_function(name, what="planner", of="a completion", on_offer=on_offer, error=InvalidOption)
     return cast(Planner, function)
