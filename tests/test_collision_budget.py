@@ -11,7 +11,7 @@ from gfp_grasp.collision import CollisionConfig, carry_parts, collision_of, hull
 from gfp_grasp.collision.budget import fewer_corners
 from gfp_grasp.collision.cavity import ball_radii_m, held_by, widest_gap
 from gfp_grasp.collision.choice import _levels
-from gfp_grasp.collision.convex import Halfspaces, convex_part, volume_m3
+from gfp_grasp.collision.convex import PartFaces, convex_part, volume_m3
 from gfp_grasp.collision.merging import groups_of, merge_tree
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.primitives import load_primitive
@@ -114,7 +114,7 @@ def test_the_widest_gap_of_a_cup_is_its_inside():
     assert centre is not None
     assert np.abs(centre[:2]).max() < 0.004
     assert FLOOR + 0.03 < centre[2] < HEIGHT
-    free, left = ball_radii_m(centre, CUP, TEMPLATE.parts, Halfspaces.of(TEMPLATE.parts))
+    free, left = ball_radii_m(centre, CUP, PartFaces.of(TEMPLATE.parts))
     assert free == pytest.approx(left, abs=1e-6)
     assert free == pytest.approx(INNER, abs=0.004)
 

@@ -3,6 +3,7 @@
 Part vertices are bound to the template's surface once: CoACD cuts a surface without moving it, so that nearly all of
 them lie on it, and a point on a triangle goes where the triangle goes. One map moves all parts, so neighbours stay
 neighbours. Vertices of the template within a part are carried with it: where the surface bulges, the part bulges too.
+Of all these, only the corners that the part needs on the template.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ import trimesh
 from scipy.sparse import csr_matrix
 from scipy.spatial import KDTree
 
-from gfp_grasp.collision.convex import convex_parts, within_parts
+from gfp_grasp.collision.convex import convex_parts, needed_corners, within_parts
 from gfp_grasp.collision.merging import groups_of, merge_tree
 from gfp_grasp.errors import InvalidMesh, InvalidOption
 from gfp_grasp.types import ConvexPart, GenericPrimitive
@@ -23,6 +24,10 @@ from gfp_grasp.types import ConvexPart, GenericPrimitive
 # CoACD's arithmetic scatters points of the surface by about 1e-8 of the size; this is far above it and below any wall.
 _ON_SURFACE_M = 1e-6
 _FEW = 12
+# Corners whose loss shrinks a part by less on the template can go, as every second around a bottle's neck; but so many
+# stay that none is farther than the spacing from one that stayed: a flat wall may bulge.
+_TOLERANCE_M = 1e-4
+_SPACING_M = 0.01
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,8 +56,8 @@ class _Binding:
         return np.split(self.weights @ vertices + normals * height[:, None], self.ends[:-1])
 
 
-_bindings: WeakKeyDictionary[GenericPrimitive, _Binding] = WeakKeyDictionary()
-_levels: WeakKeyDictionary[GenericPrimitive, dict[int, list[list[int]]]] = WeakKeyDictionary()
+# By number of parts.
+_bindings: WeakKeyDictionary[GenericPrimitive, dict[int, _Binding]] = WeakKeyDictionary()
 
 
 def carry_parts(
@@ -86,30 +91,26 @@ def carry_parts(
     vertices = np.asarray(deformed_local, dtype=np.float64)
     if vertices.shape != primitive.vertices.shape or not np.isfinite(vertices).all():
         raise InvalidMesh(f"deformed vertices of shape {vertices.shape} are not finite (v, 3)")
-    clouds = _binding(primitive).moved(vertices)
-    if count is not None and count < len(clouds):
-        clouds = [np.concatenate([clouds[i] for i in group]) for group in _groups(primitive, count)]
+    most = len(primitive.parts)
+    clouds = _binding(primitive, most if count is None else min(count, most)).moved(vertices)
     parts, dropped = convex_parts(clouds, max_vertices=max_vertices)
     if not parts:
         raise InvalidMesh(f"all {dropped} carried parts are flat: the deformation has flattened the primitive")
     return parts
 
 
-def _binding(primitive: GenericPrimitive) -> _Binding:
-    found = _bindings.get(primitive)
-    if found is None:
-        found = _bindings[primitive] = _bind(primitive)
-    return found
+def _binding(primitive: GenericPrimitive, count: int) -> _Binding:
+    levels = _bindings.setdefault(primitive, {})
+    if count not in levels:
+        levels[count] = _bind(primitive, count)
+    return levels[count]
 
 
 def _groups(primitive: GenericPrimitive, count: int) -> list[list[int]]:
-    levels = _levels.setdefault(primitive, {})
-    if count not in levels:
-        merges = primitive.part_merges
-        if len(merges) != len(primitive.parts) - 1:
-            merges = merge_tree(primitive.parts)
-        levels[count] = groups_of(merges, len(primitive.parts), count)
-    return levels[count]
+    merges = primitive.part_merges
+    if len(merges) != len(primitive.parts) - 1:
+        merges = merge_tree(primitive.parts)
+    return groups_of(merges, len(primitive.parts), count)
 
 
 def bearer(primitive: GenericPrimitive, num_vertices: int) -> GenericPrimitive:
@@ -129,13 +130,13 @@ def bearer(primitive: GenericPrimitive, num_vertices: int) -> GenericPrimitive:
     )
 
 
-def _bind(primitive: GenericPrimitive) -> _Binding:
+def _bind(primitive: GenericPrimitive, count: int) -> _Binding:
     template = trimesh.Trimesh(primitive.vertices, primitive.faces, process=False)
     owned = within_parts(primitive.vertices, primitive.parts, margin_m=_ON_SURFACE_M)
-    clouds = [
-        np.concatenate([part.vertices, primitive.vertices[owned[:, index]]])
-        for index, part in enumerate(primitive.parts)
-    ]
+    clouds = []
+    for group in _groups(primitive, count):
+        own = primitive.vertices[owned[:, group].any(axis=1)]
+        clouds.append(_thinned(np.concatenate([*(primitive.parts[i].vertices for i in group), own])))
     points = np.concatenate(clouds)
     feet, face = _on_surface(template, points)
     corners = primitive.faces[face]
@@ -146,6 +147,15 @@ def _bind(primitive: GenericPrimitive) -> _Binding:
     normals, edge = _frames(triangles)
     height = np.einsum("ij,ij->i", points - feet, normals)
     return _Binding(weights, corners, height, edge, np.cumsum([len(cloud) for cloud in clouds]))
+
+
+def _thinned(cloud: np.ndarray) -> np.ndarray:
+    kept = needed_corners(cloud, _TOLERANCE_M)
+    lonely = np.linalg.norm(cloud[:, None] - cloud[kept], axis=2).min(axis=1)
+    while lonely.max() > _SPACING_M:
+        kept = np.append(kept, lonely.argmax())
+        lonely = np.minimum(lonely, np.linalg.norm(cloud - cloud[kept[-1]], axis=1))
+    return cloud[kept]
 
 
 def _on_surface(template: trimesh.Trimesh, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

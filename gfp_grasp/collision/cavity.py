@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 import trimesh
 from scipy.spatial import ConvexHull, KDTree, QhullError
 
-from gfp_grasp.collision.convex import Halfspaces
-from gfp_grasp.types import ConvexPart
+from gfp_grasp.collision.convex import PartFaces, lengths
 
 _DRAWN = 6000
 LEAST_BALL_M = 0.005  # what no larger ball fits into is a dent
@@ -62,19 +59,18 @@ def held_by(point: np.ndarray, vertices: np.ndarray) -> tuple[np.ndarray, np.nda
     return near, np.linalg.lstsq(here, np.append(point, 1.0), rcond=None)[0]
 
 
-def ball_radii_m(
-    centre: np.ndarray, mesh: trimesh.Trimesh, parts: Sequence[ConvexPart], planes: Halfspaces
-) -> tuple[float, float]:
+def ball_radii_m(centre: np.ndarray, mesh: trimesh.Trimesh, parts: PartFaces) -> tuple[float, float]:
     """Radius, m, of the largest ball around a centre (3,) m that a mesh leaves free, and that its parts leave free."""
-    hulls = np.concatenate([part.vertices[part.faces] for part in parts])
-    blocked = planes.within(centre[None]).any()
-    return _clearance_m(centre, np.asarray(mesh.triangles)), 0.0 if blocked else _clearance_m(centre, hulls)
+    free = _clearance_m(centre, np.asarray(mesh.vertices)[mesh.faces])
+    return free, 0.0 if parts.within(centre[None]).any() else _clearance_m(centre, parts.triangles)
 
 
 def _clearance_m(point: np.ndarray, triangles: np.ndarray) -> float:
-    # Only triangles with a corner as near as this can be the nearest.
-    corner = np.linalg.norm(triangles - point, axis=2)
-    longest = np.linalg.norm(triangles - np.roll(triangles, 1, axis=1), axis=2).max(axis=1)
-    near = triangles[corner.min(axis=1) - longest <= corner.min()]
+    # A triangle lies within the ball around its centroid that reaches its farthest corner.
+    middle = (triangles[:, 0] + triangles[:, 1] + triangles[:, 2]) / 3
+    arms = triangles - middle[:, None]
+    reach = np.sqrt(np.einsum("nij,nij->ni", arms, arms).max(axis=1))
+    distance = lengths(middle - point)
+    near = triangles[distance - reach <= distance.min()]
     feet = trimesh.triangles.closest_point(near, np.broadcast_to(point, (len(near), 3)))
-    return float(np.linalg.norm(feet - point, axis=1).min())
+    return float(lengths(feet - point).min())

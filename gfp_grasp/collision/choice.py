@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Sequence
 from dataclasses import replace
 from weakref import WeakKeyDictionary
 
@@ -15,11 +14,11 @@ from gfp_grasp.collision.budget import CollisionConfig
 from gfp_grasp.collision.carry import bearer, carry_parts
 from gfp_grasp.collision.cavity import LEAST_BALL_M, ball_radii_m, held_by, widest_gap
 from gfp_grasp.collision.config import DecomposeConfig
-from gfp_grasp.collision.convex import Halfspaces, convex_part, volume_m3
+from gfp_grasp.collision.convex import PartFaces, convex_part, volume_m3
 from gfp_grasp.collision.decomposition import decompose, hull
 from gfp_grasp.collision.fidelity import union_error_m, volume_ratios
 from gfp_grasp.errors import DecompositionFailed, InvalidMesh
-from gfp_grasp.types import CollisionMesh, CompletedShape, ConvexPart, GenericPrimitive
+from gfp_grasp.types import CollisionMesh, CompletedShape, GenericPrimitive
 
 # Mean error of carried parts over the diagonal, beyond which CoACD is worth its time. A mug's parts carried through a
 # bulge of a fifth of its radius stay below 0.01.
@@ -120,8 +119,8 @@ def _measured(primitive: GenericPrimitive, mesh: trimesh.Trimesh, level: int, co
     parts = carry_parts(primitive, mesh.vertices, count=level, max_vertices=config.max_vertices_per_part)
     carrying_s = time.monotonic() - started
     rng = np.random.default_rng(0)
-    planes = Halfspaces.of(parts)
-    ratio, union_ratio = volume_ratios(parts, mesh, count=_SAMPLES, rng=rng, planes=planes)
+    faces = PartFaces.of(parts)
+    ratio, union_ratio = volume_ratios(faces, mesh, count=_SAMPLES, rng=rng)
     notes: dict[str, object] = {
         "level": level,
         "carrying_s": carrying_s,
@@ -129,14 +128,12 @@ def _measured(primitive: GenericPrimitive, mesh: trimesh.Trimesh, level: int, co
         "volume_ratio": ratio,
         "union_volume_ratio": union_ratio,
     }
-    notes |= _ball(primitive, mesh, parts, planes)
-    error = union_error_m(parts, mesh, count=_SAMPLES, rng=rng, planes=planes)
+    notes |= _ball(primitive, mesh, faces)
+    error = union_error_m(faces, mesh, count=_SAMPLES, rng=rng)
     return CollisionMesh(parts, error, "carried", time.monotonic() - started, notes)
 
 
-def _ball(
-    primitive: GenericPrimitive, mesh: trimesh.Trimesh, parts: Sequence[ConvexPart], planes: Halfspaces
-) -> dict[str, object]:
+def _ball(primitive: GenericPrimitive, mesh: trimesh.Trimesh, faces: PartFaces) -> dict[str, object]:
     """Notes of the ball in a completed primitive; none where it has no gap that is worth the name."""
     if primitive not in _gaps:
         centre = widest_gap(trimesh.Trimesh(primitive.vertices, primitive.faces, process=False))
@@ -145,7 +142,7 @@ def _ball(
     if gap is None:
         return {}
     holders, weights = gap
-    free, left = ball_radii_m(weights @ mesh.vertices[holders], mesh, parts, planes)
+    free, left = ball_radii_m(weights @ mesh.vertices[holders], mesh, faces)
     return {"ball_m": free, "ball_left_m": left} if free > LEAST_BALL_M else {}
 
 
@@ -173,7 +170,7 @@ def _decomposed_or(carried: CollisionMesh, shape: CompletedShape, config: Collis
     except (DecompositionFailed, InvalidMesh) as error:
         return _with_warning(carried, f"they are kept, as CoACD failed: {error}")
     primitive = bearer(shape.fit.primitive, len(shape.mesh.vertices))
-    ball = _ball(primitive, shape.mesh, fresh.parts, Halfspaces.of(fresh.parts))
+    ball = _ball(primitive, shape.mesh, PartFaces.of(fresh.parts))
     fresh = replace(fresh, notes={**fresh.notes, **ball, "carried_error_m": carried.error_m})
     if _is_true(fresh, shape, config):
         return fresh

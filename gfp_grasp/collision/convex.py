@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import product
 
 import manifold3d
 import numpy as np
@@ -15,6 +16,8 @@ from gfp_grasp.types import ConvexPart
 # at the density of water, and stops no finger where it is missing.
 MIN_VOLUME_M3 = 1e-10
 MIN_THICKNESS_M = 1e-4
+_NEEDLE = 1e-9  # of the largest face of its part: a face so small has no direction but rounding
+_WAYS = np.array([way for way in product((-1.0, 0.0, 1.0), repeat=3) if any(way)])
 _NEXT, _AFTER = [1, 2, 0], [2, 0, 1]
 
 
@@ -23,25 +26,70 @@ def convex_part(points: np.ndarray, *, max_vertices: int | None = None) -> Conve
 
     With max_vertices, at least 4, the hull of so many of its corners.
     """
-    centre = points.mean(axis=0)
-    corners, faces = _hull(points - centre)
-    if max_vertices is not None and len(corners) > max_vertices:
-        corners, faces = _hull(fewer_corners(corners, max_vertices))
+    kept, _ = convex_parts([points], max_vertices=max_vertices)
+    return kept[0] if kept else None
+
+
+def convex_parts(
+    clouds: Iterable[np.ndarray], *, max_vertices: int | None = None
+) -> tuple[tuple[ConvexPart, ...], int]:
+    """Hulls of many point sets, and how many were dropped as slivers."""
+    kept, dropped = [], 0
+    for points in clouds:
+        centre = points.mean(axis=0)
+        corners, faces = _hull(points - centre)
+        if max_vertices is not None and len(corners) > max_vertices:
+            corners, faces = _hull(fewer_corners(corners, max_vertices))
+        if _is_solid(corners, faces):
+            kept.append(ConvexPart(corners + centre, faces))
+        else:
+            dropped += 1
+    return tuple(kept), dropped
+
+
+def needed_corners(points: np.ndarray, tolerance_m: float) -> np.ndarray:
+    """Which few of (n, 3) points in m have a hull that all others are in, or out of by at most a tolerance.
+
+    Returns:
+        Index (k,), ascending; all of them where they are flat.
+    """
+    centred = points - points.mean(axis=0)
+    kept = np.unique((centred @ _WAYS.T).argmax(axis=0))
+    while True:
+        corners, faces = _hull(centred[kept])
+        if not len(corners):
+            return np.arange(len(points))
+        triangles = corners[faces]
+        normals = area_vectors(triangles)
+        areas = lengths(normals)
+        solid = areas > _NEEDLE * areas.max()
+        normals = normals[solid] / areas[solid, None]
+        heights = normals @ centred.T - np.einsum("ni,ni->n", normals, triangles[solid, 0])[:, None]
+        beyond = heights.max(axis=0)
+        farthest = np.unique(heights.argmax(axis=1))
+        farthest = farthest[beyond[farthest] > tolerance_m]
+        if not len(farthest):
+            return kept
+        # A few at once: each of them brings others in.
+        farthest = farthest[np.argsort(-beyond[farthest], kind="stable")][: 1 + len(farthest) // 4]
+        kept = np.union1d(kept, farthest)
+
+
+def _is_solid(corners: np.ndarray, faces: np.ndarray) -> bool:
     if len(corners) < 4:
-        return None
+        return False
     a, b, c = (corners[faces[:, i]] for i in range(3))
-    across = _cross(b - a, c - a)
-    areas2 = np.linalg.norm(across, axis=1)
-    volume = float((a * across).sum()) / 6
+    across = cross(b - a, c - a)
+    volume = float(np.vdot(a, across)) / 6
     if volume < MIN_VOLUME_M3:
-        return None
+        return False
+    areas2 = lengths(across)
     if volume < MIN_THICKNESS_M * areas2.sum() / 2:  # else no width is below the least
-        solid = areas2 > 1e-9 * areas2.max()  # the direction of a needle is rounding only
+        solid = areas2 > _NEEDLE * areas2.max()
         normals = across[solid] / areas2[solid, None]
         depths = (normals * a[solid]).sum(axis=1)[:, None] - normals @ corners.T
-        if depths.max(axis=1).min() < MIN_THICKNESS_M:
-            return None
-    return ConvexPart(corners + centre, faces)
+        return bool(depths.max(axis=1).min() >= MIN_THICKNESS_M)
+    return True
 
 
 def _hull(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -53,59 +101,83 @@ def _hull(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.array(mesh.vert_properties[:, :3]), np.array(mesh.tri_verts, dtype=np.int64)
 
 
-def _cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     """Cross products (n, 3); numpy's own takes thrice as long on so few."""
     return a[:, _NEXT] * b[:, _AFTER] - a[:, _AFTER] * b[:, _NEXT]
 
 
-def convex_parts(
-    clouds: Iterable[np.ndarray], *, max_vertices: int | None = None
-) -> tuple[tuple[ConvexPart, ...], int]:
-    """Hulls of many point sets, and how many were dropped as slivers."""
-    hulls = [convex_part(points, max_vertices=max_vertices) for points in clouds]
-    kept = tuple(part for part in hulls if part is not None)
-    return kept, len(hulls) - len(kept)
+def lengths(vectors: np.ndarray) -> np.ndarray:
+    """Lengths (n,) of (n, 3); numpy's own take thrice as long."""
+    return np.sqrt(np.einsum("ni,ni->n", vectors, vectors))
 
 
 @dataclass(frozen=True, eq=False)
-class Halfspaces:
-    """The planes of p convex parts, to be asked many times.
+class PartFaces:
+    """All faces of p convex parts, to be asked many times.
 
     Attributes:
+        triangles: (f, 3, 3) m.
+        owner: (f,) part of each.
+        normals: (f, 3) outward, of length 1, or shorter for needles, whose direction is rounding only.
+        areas_m2: (f,).
+        planes: (f, 4) what a place (x, y, z, 1), m, is multiplied with for its height over each.
+        bounds: (p + 1,) where the faces of each part begin.
         low: (p, 3) m, lower corner of the box of each part.
         high: (p, 3) m, its upper corner.
-        normals: (q, 3) unit, outward, of all faces.
-        offsets: (q,) m.
-        bounds: (p + 1,) where the faces of each part begin.
     """
 
+    triangles: np.ndarray
+    owner: np.ndarray
+    normals: np.ndarray
+    areas_m2: np.ndarray
+    planes: np.ndarray
+    bounds: np.ndarray
     low: np.ndarray
     high: np.ndarray
-    normals: np.ndarray
-    offsets: np.ndarray
-    bounds: np.ndarray
 
     @staticmethod
-    def of(parts: Sequence[ConvexPart]) -> Halfspaces:
+    def of(parts: Sequence[ConvexPart]) -> PartFaces:
         """Those of at least one part."""
-        low, high = (np.stack([end(part.vertices, axis=0) for part in parts]) for end in (np.min, np.max))
-        return Halfspaces(low, high, *_planes(parts))
+        sizes = [len(part.faces) for part in parts]
+        bounds = np.concatenate([[0], np.cumsum(sizes)])
+        starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
+        vertices = np.concatenate([part.vertices for part in parts])
+        faces = np.concatenate([part.faces for part in parts]) + np.repeat(starts, sizes)[:, None]
+        low, high = (end.reduceat(vertices, starts, axis=0) for end in (np.minimum, np.maximum))
+        triangles = vertices[faces]
+        owner = np.repeat(np.arange(len(parts)), sizes)
+        vectors = area_vectors(triangles)
+        areas = lengths(vectors)
+        needle = areas <= _NEEDLE * np.maximum.reduceat(areas, bounds[:-1])[owner]
+        normals = vectors / np.where(needle, np.inf, areas)[:, None]
+        offsets = np.einsum("ni,ni->n", normals, triangles[:, 0])
+        offsets[needle] = np.inf  # nothing is above it
+        planes = np.column_stack([normals, -offsets])
+        return PartFaces(triangles, owner, normals, areas, planes, bounds, low, high)
 
     def within(self, points: np.ndarray, *, margin_m: float = 0.0) -> np.ndarray:
-        """Which points (n, 3) m lie within which parts, (n, p) bool; `within_parts` tells of the margin."""
-        near = np.ones((len(points), len(self.low)), dtype=bool)
-        for axis in range(3):  # one axis after the other: a reduction over a last axis of three is slow
-            near &= points[:, axis, None] >= self.low[:, axis] - margin_m
-            near &= points[:, axis, None] <= self.high[:, axis] + margin_m
-        for part in np.flatnonzero(near.any(axis=0)):
-            asked = np.flatnonzero(near[:, part])
-            near[asked, part] = self.height(points[asked], int(part)) <= margin_m
+        """Which points (n, 3) m lie within which parts, (p, n) bool; `within_parts` tells of the margin."""
+        places = _homogeneous(points)
+        near = np.ones((len(self.low), len(points)), dtype=bool)
+        for axis in range(3):  # a reduction over an axis of three is slow
+            near &= places[axis] >= self.low[:, axis, None] - margin_m
+            near &= places[axis] <= self.high[:, axis, None] + margin_m
+        for part in np.flatnonzero(near.any(axis=1)):
+            asked = np.flatnonzero(near[part])
+            near[part, asked] = self._height(places[:, asked], part) <= margin_m
         return near
 
     def height(self, points: np.ndarray, part: int) -> np.ndarray:
         """Height (n,) m of points (n, 3) over the plane of a part that they are farthest out of; negative within."""
-        own = slice(self.bounds[part], self.bounds[part + 1])
-        return (points @ self.normals[own].T - self.offsets[own]).max(axis=1)
+        return self._height(_homogeneous(points), part)
+
+    def _height(self, places: np.ndarray, part: int) -> np.ndarray:
+        # In four dimensions with the offset: a product over three takes eight times as long.
+        return (self.planes[self.bounds[part] : self.bounds[part + 1]] @ places).max(axis=0)
+
+
+def _homogeneous(points: np.ndarray) -> np.ndarray:
+    return np.vstack([points.T, np.ones(len(points))])
 
 
 def within_parts(points: np.ndarray, parts: Sequence[ConvexPart], *, margin_m: float = 0.0) -> np.ndarray:
@@ -121,7 +193,7 @@ def within_parts(points: np.ndarray, parts: Sequence[ConvexPart], *, margin_m: f
     """
     if not parts:
         return np.zeros((len(points), 0), dtype=bool)
-    return Halfspaces.of(parts).within(points, margin_m=margin_m)
+    return PartFaces.of(parts).within(points, margin_m=margin_m).T
 
 
 def volume_m3(part: ConvexPart) -> float:
@@ -131,18 +203,9 @@ def volume_m3(part: ConvexPart) -> float:
 
 def six_volumes(corners: np.ndarray) -> np.ndarray:
     """Determinants (n,) of (n, 3, 3): six times the volume of the tetrahedron over the origin."""
-    return np.einsum("ni,ni->n", corners[:, 0], np.cross(corners[:, 1], corners[:, 2]))
+    return np.einsum("ni,ni->n", corners[:, 0], cross(corners[:, 1], corners[:, 2]))
 
 
-def _planes(parts: Sequence[ConvexPart]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Unit outward normals (q, 3) and offsets (q,) m of all faces, and where those of each part begin (p + 1,)."""
-    triangles = np.concatenate([part.vertices[part.faces] for part in parts])
-    owner = np.repeat(np.arange(len(parts)), [len(part.faces) for part in parts])
-    across = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-    length = np.linalg.norm(across, axis=1)
-    longest = np.zeros(len(parts))
-    np.maximum.at(longest, owner, length)
-    solid = length > 1e-9 * longest[owner]  # the direction of a needle is rounding only
-    normals = across[solid] / length[solid, None]
-    bounds = np.searchsorted(owner[solid], np.arange(len(parts) + 1))
-    return normals, np.einsum("ij,ij->i", normals, triangles[solid, 0]), bounds
+def area_vectors(triangles: np.ndarray) -> np.ndarray:
+    """Normals (n, 3) of triangles (n, 3, 3), as long as the area, m2."""
+    return cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]) / 2

@@ -3,30 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import trimesh
 from scipy.spatial import KDTree
 
-from gfp_grasp.collision.convex import Halfspaces, six_volumes
+from gfp_grasp.collision.convex import PartFaces, area_vectors, lengths, six_volumes
 from gfp_grasp.types import ConvexPart
 
 # Faces on which two parts meet are no surface of the union. They are told by a step outward that lands in the
 # neighbour; it is a share of the diagonal, and bridges the hairline cracks that carrying opens.
 _STEP = 2e-3
 _NEIGHBOURS = 8
+_MORE_NEIGHBOURS = 64
 # Fewer on the parts, and the triangle that is nearest may not be among those of the nearest anchors.
 _LEAST_ANCHORS = 2000
 _R2 = (0.7548776662466927, 0.5698402909980532)
 
 
 def union_error_m(
-    parts: Sequence[ConvexPart],
-    mesh: trimesh.Trimesh,
-    *,
-    count: int = 2000,
-    rng: np.random.Generator,
-    planes: Halfspaces | None = None,
+    parts: Sequence[ConvexPart] | PartFaces, mesh: trimesh.Trimesh, *, count: int = 2000, rng: np.random.Generator
 ) -> tuple[float, float, float]:
     """Two-sided distance between the surface of the parts' union and a mesh.
 
@@ -35,116 +33,113 @@ def union_error_m(
     it. Surfaces of parts within other parts are left out.
 
     Args:
-        parts: Convex parts, m.
+        parts: Convex parts, m, or their faces where they are at hand.
         mesh: In the same frame.
         count: Samples on each surface.
         rng: Source of the samples.
-        planes: Of the parts, where they are at hand.
 
     Returns:
         Mean, 95 % and largest distance, m, over both directions with equal weight.
     """
     step = _STEP * float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
-    part_triangles = np.concatenate([part.vertices[part.faces] for part in parts])
-    owner = np.repeat(np.arange(len(parts)), [len(part.faces) for part in parts])
-    anchors, triangle, sampled = _anchors(part_triangles, max(2 * count, _LEAST_ANCHORS), rng)
-    planes = planes or Halfspaces.of(parts)
-    inside = planes.within(anchors + step * _normals(part_triangles)[triangle])
-    inside[np.arange(len(anchors)), owner[triangle]] = False
-    seen = np.logical_not(inside.any(axis=1))
-    if not seen[sampled].any():  # parts all within each other: nothing can be hidden but by rounding
+    faces = parts if isinstance(parts, PartFaces) else PartFaces.of(parts)
+    anchors, triangle = _anchors(faces.triangles, faces.areas_m2, max(2 * count, _LEAST_ANCHORS), rng)
+    union = _Surface(anchors, faces.triangles[triangle])
+    chosen = np.arange(0, max(2 * count, _LEAST_ANCHORS), max(1, _LEAST_ANCHORS // (2 * count)))
+    inside = faces.within(anchors[chosen] + step * faces.normals[triangle[chosen]])
+    inside[faces.owner[triangle[chosen]], np.arange(len(chosen))] = False
+    seen = np.logical_not(inside.any(axis=0))
+    if not seen.any():  # parts all within each other: nothing can be hidden but by rounding
         seen[:] = True
-    of_union = anchors[seen & sampled]
-    of_union = of_union[:: max(1, len(of_union) // (2 * count))]
-    anchors, union_triangles = anchors[seen], part_triangles[triangle[seen]]
+    of_union = anchors[chosen[seen]]
 
-    mesh_triangles = np.asarray(mesh.triangles)
-    mesh_anchors, triangle, sampled = _anchors(mesh_triangles, count, rng)
-    of_mesh = mesh_anchors[sampled]
-    to_mesh = _to_outside(of_union, mesh_anchors, mesh_triangles[triangle], deep_m=2 * step)
-    feet, distance, _ = _feet(of_mesh, anchors, union_triangles)
-    nearest = np.take_along_axis(feet, distance.argmin(axis=1)[:, None, None], axis=1)[:, 0]
-    # A foot on the hidden stretch of a triangle is no surface: another foot that is, or the nearest anchor, stands in.
-    hidden = np.flatnonzero(planes.within(nearest, margin_m=-step).any(axis=1))
-    if len(hidden):
-        unseen = planes.within(feet[hidden].reshape(-1, 3), margin_m=-step).any(axis=1).reshape(len(hidden), -1)
-        to_anchor = KDTree(anchors).query(of_mesh[hidden])[0]
-        distance[hidden] = np.where(unseen, to_anchor[:, None], np.minimum(distance[hidden], to_anchor[:, None]))
-    to_union = distance.min(axis=1)
-    return _mean_p95_max(to_mesh, to_union)
+    triangles = np.asarray(mesh.vertices)[mesh.faces]
+    anchors, triangle = _anchors(triangles, lengths(area_vectors(triangles)), count, rng)
+    to_mesh = _to_outside(of_union, _Surface(anchors, triangles[triangle]), deep_m=2 * step)
+    return _mean_p95_max(to_mesh, _to_union(anchors[:count], union, faces, of_union, step))
 
 
 def volume_ratios(
-    parts: Sequence[ConvexPart],
-    mesh: trimesh.Trimesh,
-    *,
-    count: int = 4000,
-    rng: np.random.Generator,
-    planes: Halfspaces | None = None,
+    parts: Sequence[ConvexPart] | PartFaces, mesh: trimesh.Trimesh, *, count: int = 4000, rng: np.random.Generator
 ) -> tuple[float, float]:
     """Volume of the parts over the mesh's: their sum, and their union (by the mean of 1 / overlaps of count places)."""
-    corners = np.concatenate([(part.vertices - part.vertices[0])[part.faces] for part in parts])
-    sizes = np.array([len(part.faces) for part in parts])
-    owner, apex = np.repeat(np.arange(len(parts)), sizes), np.stack([part.vertices[0] for part in parts])
+    faces = parts if isinstance(parts, PartFaces) else PartFaces.of(parts)
+    apex = faces.triangles[faces.bounds[:-1], 0]
+    corners = faces.triangles - apex[faces.owner][:, None]
     volume = np.maximum(six_volumes(corners), 0.0)
     chosen = rng.choice(len(volume), count, p=volume / volume.sum())
     weights = rng.dirichlet(np.ones(4), count)[:, 1:]
-    places = apex[owner[chosen]] + np.einsum("ni,nij->nj", weights, corners[chosen])
-    within = (planes or Halfspaces.of(parts)).within(places)
-    within[np.arange(count), owner[chosen]] = True
+    places = apex[faces.owner[chosen]] + np.einsum("ni,nij->nj", weights, corners[chosen])
+    within = faces.within(places)
+    within[faces.owner[chosen], np.arange(count)] = True
     ratio = float(volume.sum() / 6 / mesh.volume)
-    return ratio, ratio * float((1 / within.sum(axis=1)).mean())
+    return ratio, ratio * float((1 / within.sum(axis=0)).mean())
 
 
-def _anchors(triangles: np.ndarray, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Samples by area, which large triangles have many of, then all centroids; their triangles; which are samples."""
-    points, index = _samples(triangles, count, rng)
-    anchors = np.concatenate([points, triangles.mean(axis=1)])
-    owner = np.concatenate([index, np.arange(len(triangles))])
-    return anchors, owner, np.arange(len(anchors)) < count
+@dataclass(frozen=True, eq=False)
+class _Surface:
+    """Places (n, 3) m all over a surface, and the triangle (n, 3, 3) that each lies on."""
+
+    anchors: np.ndarray
+    triangles: np.ndarray
+
+    @cached_property
+    def tree(self) -> KDTree:
+        return KDTree(self.anchors, balanced_tree=False, compact_nodes=False)
+
+    def feet(self, points: np.ndarray, *, count: int = _NEIGHBOURS) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Nearest places (n, k, 3) on the triangles of the nearest anchors, distances and anchors (n, k)."""
+        k = min(count, len(self.anchors))
+        near = np.reshape(self.tree.query(points, k=k)[1], (len(points), k))
+        feet = trimesh.triangles.closest_point(self.triangles[near.ravel()], np.repeat(points, k, axis=0))
+        feet = feet.reshape(-1, k, 3)
+        return feet, lengths((feet - points[:, None]).reshape(-1, 3)).reshape(-1, k), near
 
 
-def _samples(triangles: np.ndarray, count: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
-    area = np.linalg.norm(_cross(triangles), axis=1)
+def _anchors(
+    triangles: np.ndarray, areas: np.ndarray, count: int, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Samples by area, which large triangles have many of, then all centroids; and their triangles."""
     # Even steps through the area, and an R2 sequence within each triangle: a gap between independent draws would let a
     # point miss the triangle it lies on. Source: https://extremelearning.com.au/unreasonable-effectiveness-of-quasirandom-sequences
-    steps = np.arange(count)
-    index = np.minimum(np.searchsorted(np.cumsum(area), (steps + rng.random()) / count * area.sum()), len(area) - 1)
+    steps, total = np.arange(count), np.cumsum(areas)
+    index = np.minimum(np.searchsorted(total, (steps + rng.random()) / count * total[-1]), len(areas) - 1)
     u, v = ((rng.random() + steps * ratio) % 1 for ratio in _R2)
     u, v = np.sqrt(u)[:, None], v[:, None]
-    a, b, c = (triangles[index, i] for i in range(3))
-    return (1 - u) * a + u * (1 - v) * b + u * v * c, index
+    a, b, c = (triangles[:, i] for i in range(3))
+    samples = (1 - u) * a[index] + u * (1 - v) * b[index] + u * v * c[index]
+    return np.concatenate([samples, (a + b + c) / 3]), np.concatenate([index, np.arange(len(areas))])
 
 
-def _to_outside(points: np.ndarray, anchors: np.ndarray, triangles: np.ndarray, *, deep_m: float) -> np.ndarray:
+def _to_outside(points: np.ndarray, surface: _Surface, *, deep_m: float) -> np.ndarray:
     """Distances (m,) to a closed surface of those of the points that are not deeper within it than deep_m.
 
     Faces in there are cracks between parts, which nothing can reach; a hole in the union shows from the other side.
     """
-    feet, distance, near = _feet(points, anchors, triangles)
+    feet, distance, near = surface.feet(points)
     best = distance.argmin(axis=1)
     rows = np.arange(len(points))
-    away = np.einsum("ni,ni->n", points - feet[rows, best], _normals(triangles[near[rows, best]]))
+    away = np.einsum("ni,ni->n", points - feet[rows, best], area_vectors(surface.triangles[near[rows, best]]))
     distance = distance[rows, best]
     outside = ~((away < 0) & (distance > deep_m))
     return distance[outside] if outside.any() else distance
 
 
-def _feet(points: np.ndarray, anchors: np.ndarray, triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Nearest places (n, k, 3) to points on the triangles of their nearest anchors, distances and anchors (n, k)."""
-    k = min(_NEIGHBOURS, len(anchors))
-    near = np.reshape(KDTree(anchors).query(points, k=k)[1], (len(points), k))
-    feet = trimesh.triangles.closest_point(triangles[near.ravel()], np.repeat(points, k, axis=0)).reshape(-1, k, 3)
-    return feet, np.linalg.norm(feet - points[:, None], axis=2), near
-
-
-def _cross(triangles: np.ndarray) -> np.ndarray:
-    return np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
-
-
-def _normals(triangles: np.ndarray) -> np.ndarray:
-    across = _cross(triangles)
-    return across / np.maximum(np.linalg.norm(across, axis=1, keepdims=True), 1e-300)
+def _to_union(points: np.ndarray, union: _Surface, faces: PartFaces, of_union: np.ndarray, step: float) -> np.ndarray:
+    """Distances (n,) to the surface of a union of parts, where a foot within another part is none."""
+    feet, distance, _ = union.feet(points)
+    nearest = np.take_along_axis(feet, distance.argmin(axis=1)[:, None, None], axis=1)[:, 0]
+    found = distance.min(axis=1)
+    hidden = np.flatnonzero(faces.within(nearest, margin_m=-step).any(axis=0))
+    for count in (_NEIGHBOURS, _MORE_NEIGHBOURS):
+        if not len(hidden):
+            return found
+        feet, distance, _ = union.feet(points[hidden], count=count)
+        unseen = faces.within(feet.reshape(-1, 3), margin_m=-step).any(axis=0).reshape(distance.shape)
+        found[hidden] = np.where(unseen, np.inf, distance).min(axis=1)
+        hidden = hidden[np.isinf(found[hidden])]
+    found[hidden] = KDTree(of_union).query(points[hidden])[0]
+    return found
 
 
 def _mean_p95_max(a: np.ndarray, b: np.ndarray) -> tuple[float, float, float]:
