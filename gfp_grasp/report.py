@@ -19,7 +19,7 @@ _Z95 = 1.959963984540054
 BRACKETS = ("oracle", "observed")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Trial:
     """One object, one view, one completer, its best grasp.
 
@@ -33,6 +33,10 @@ class Trial:
         reason: What happened to it, one of REASONS.
         lift_m: Height it gained.
         slip_m: Largest slip while it was held.
+        falls_free: Whether it fell when the jaws opened at last.
+        mass_kg: Its mass.
+        friction: Its coefficient of sliding friction.
+        grip_n: Force limit of each jaw.
         completed_success: Whether the completion, simulated in its place, was held.
         completed_reason: What happened to that.
         quality: The planner's, None where no grasp was found.
@@ -53,6 +57,10 @@ class Trial:
     reason: str
     lift_m: float
     slip_m: float
+    falls_free: bool
+    mass_kg: float
+    friction: float
+    grip_n: float
     completed_success: bool
     completed_reason: str
     quality: float | None

@@ -203,6 +203,10 @@ def _attempt(job: _Job) -> Trial:
         reason=str(true_info["reason"]),
         lift_m=float(true_info["lift_m"]),
         slip_m=float(true_info["slip_m"]),
+        falls_free=bool(true_info["falls_free"]),
+        mass_kg=float(info["mass_kg"]),
+        friction=float(info["friction"]),
+        grip_n=float(info["grip_n"]),
         completed_success=bool(completed_info["is_success"]),
         completed_reason=str(completed_info["reason"]),
         quality=None if grasp is None else grasp.quality,
@@ -249,7 +253,7 @@ def _first_held(env: GfpGraspEnv, grasps: Sequence[Grasp]) -> int | None:
 def _in_both_worlds(env: GfpGraspEnv, job: _Job, grasp: Grasp | None) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
     """Info of the attempt on the true object and on the completed one."""
     if grasp is None:
-        nothing = {"is_success": False, "reason": "no_grasp_found", "lift_m": 0.0, "slip_m": 0.0}
+        nothing = {"is_success": False, "reason": "no_grasp_found", "lift_m": 0.0, "slip_m": 0.0, "falls_free": False}
         return nothing, nothing
     action = env.action_code.encode(grasp)
     true_info = env.step(action)[4]

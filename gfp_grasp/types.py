@@ -405,6 +405,7 @@ class Outcome:
         reason: One of REASONS.
         lift_m: Height gained by the object when the attempt ended.
         slip_m: The most that it moved in the gripper after closing.
+        falls_free: Whether it fell when the jaws opened at last; False where it was not held until then.
         settings: What it ran under.
     """
 
@@ -412,6 +413,7 @@ class Outcome:
     reason: str
     lift_m: float
     slip_m: float
+    falls_free: bool = False
     settings: Mapping[str, float | str] = field(default_factory=dict)
 
 

@@ -109,6 +109,20 @@ def test_a_later_episode_depends_on_the_seed_alone(make):
     assert same(first, second)
 
 
+def test_mass_friction_and_grip_are_drawn_from_the_seed_within_their_ranges(make):
+    env = make(mass_spread=0.1, friction_min=0.5, friction_max=0.6, grip_min_n=20.0, grip_max_n=20.0)
+    infos = [env.reset(seed=seed, options={"object": 0})[1] for seed in (0, 1, 0)]
+    own = env.episode.truth.mass_kg
+    for info in infos:
+        assert abs(info["mass_kg"] / own - 1) <= 0.1
+        assert 0.5 <= info["friction"] <= 0.6
+        assert info["grip_n"] == 20.0
+    assert infos[0] == infos[2]
+    assert infos[0]["mass_kg"] != infos[1]["mass_kg"]
+    body = env.world.model.body("object")
+    assert body.mass[0] == pytest.approx(infos[2]["mass_kg"])
+
+
 def test_info_is_flat_and_has_the_same_keys_after_reset_and_step(make):
     env = make()
     _, at_reset = env.reset(seed=0)

@@ -44,6 +44,17 @@ def test_a_square_grasp_is_held(world):
     assert outcome.reason == "held"
     assert outcome.lift_m == pytest.approx(0.2, abs=0.01)
     assert outcome.slip_m < 0.005
+    assert outcome.falls_free
+
+
+def test_what_the_table_catches_before_it_has_dropped_does_not_fall_free(world):
+    outcome = outcome_of(world, from_above(), TrialSettings(drop_m=0.3))
+    assert outcome.success
+    assert not outcome.falls_free
+
+
+def test_what_slipped_before_does_not_fall_free():
+    assert not outcome_of(world_of(mass_kg=8.0, friction=0.4), from_above()).falls_free
 
 
 def test_a_grasp_too_deep_collides_with_the_palm(world):

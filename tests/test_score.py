@@ -136,9 +136,27 @@ def test_wilson_intervals_are_those_of_the_tables(successes, attempts, low, high
 
 def trial(name: str, view: int, truth: bool, completed: bool, rank: int | None = None) -> Trial:
     reasons = ["held" if held else "no_contact" for held in (truth, completed)]
-    figures = (0.5, 0.05, 0.01, 0.7)
     return Trial(
-        "a", "cup", name, view, 1, truth, reasons[0], 0.0, 0.0, completed, reasons[1], *figures, rank_held=rank
+        object="a",
+        category="cup",
+        completer=name,
+        view=view,
+        episode_seed=1,
+        success=truth,
+        reason=reasons[0],
+        lift_m=0.2,
+        slip_m=0.0,
+        falls_free=truth,
+        mass_kg=0.2,
+        friction=0.7,
+        grip_n=30.0,
+        completed_success=completed,
+        completed_reason=reasons[1],
+        quality=0.5,
+        width_m=0.05,
+        cd_m=0.01,
+        f_score=0.7,
+        rank_held=rank,
     )
 
 

@@ -7,6 +7,7 @@ that depends on the step is the simulator's, not the grasp's. Beside that, what 
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
@@ -14,6 +15,7 @@ import numpy as np
 
 from gfp_grasp.envs.grasp_env import GfpGraspEnv
 from gfp_grasp.envs.pace import TimedStep
+from gfp_grasp.envs.settings import TrialSettings
 from gfp_grasp.envs.trial import run_trial
 from gfp_grasp.envs.world import TARGET, World
 from gfp_grasp.errors import InvalidOption
@@ -72,13 +74,14 @@ def _trials(number: int, *, objects: str, limit: int, grasps: int, seed: int) ->
     env.reset(seed=seed + number, options={"object": number})
     if env.completion is None or env.world is None:
         return []
+    settings = replace(env.settings, grip_n=env.episode.load.grip_n)
     return [
-        {"object": env.episode.truth.name, "grasp": rank, **_at_all_steps(env.world, grasp)}
+        {"object": env.episode.truth.name, "grasp": rank, **_at_all_steps(env.world, grasp, settings)}
         for rank, grasp in enumerate(plan_grasps(env.completion, grasps, seed=seed))
     ]
 
 
-def _at_all_steps(world: World, grasp: Grasp) -> dict[str, Any]:
+def _at_all_steps(world: World, grasp: Grasp, settings: TrialSettings) -> dict[str, Any]:
     whole = world.model.opt.timestep
     held, reasons, seconds, share = [], [], 0.0, 0.0
     for part in _STEPS:
@@ -86,7 +89,7 @@ def _at_all_steps(world: World, grasp: Grasp) -> dict[str, Any]:
         world.restore()
         timer = TimedStep()
         start = time.perf_counter()
-        outcome = run_trial(world.model, world.data, grasp, target=TARGET, stepper=timer)
+        outcome = run_trial(world.model, world.data, grasp, settings, target=TARGET, stepper=timer)
         if part == 1:
             seconds = time.perf_counter() - start
             share = timer.seconds / seconds

@@ -29,7 +29,7 @@ def complete(
     support_height: Annotated[float | None, typer.Option(help="Height of the support along up, metres.")] = None,
     category: Annotated[str | None, typer.Option(help="Class of the object; left out, it is found.")] = None,
     files: Files = False,
-    max_parts: Annotated[int, typer.Option(help="Most convex parts.")] = 64,
+    max_parts: Annotated[int, typer.Option(help="Most convex parts.")] = 80,
     max_vertices: Annotated[int | None, typer.Option(help="Most vertices of each part.")] = None,
     tolerance_mm: Annotated[
         float | None, typer.Option(help="As few parts as lie within this of the mesh, for 95 % of it.")

@@ -25,7 +25,7 @@ class CollisionConfig:
             are taken. None takes as many of max_parts as make a difference.
     """
 
-    max_parts: int = 64
+    max_parts: int = 80
     max_vertices_per_part: int | None = None
     tolerance_m: float | None = None
 

@@ -27,7 +27,7 @@ _FEW = 12
 # Corners whose loss shrinks a part by less on the template can go, as every second around a bottle's neck; but so many
 # stay that none is farther than the spacing from one that stayed: a flat wall may bulge.
 _TOLERANCE_M = 1e-4
-_SPACING_M = 0.01
+_SPACING_M = 0.005
 
 
 @dataclass(frozen=True, eq=False)

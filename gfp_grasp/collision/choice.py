@@ -28,7 +28,7 @@ _CAVITY_LEFT = 0.8
 # The hull of a convex mesh adds nothing but rounding to its volume.
 _CONVEX_EXCESS = 1e-3
 # Parts that bring the template's surface nearer by less than this, on average and for 95 %, are not worth their time.
-_NEXT_TO_NOTHING_M = np.array([2e-5, 2e-4])
+_NEXT_TO_NOTHING_M = np.array([1e-5, 1e-4])
 _SAMPLES = 300
 # Vertices and weights that hold the centre of the largest ball in a primitive; None where there is none.
 _gaps: WeakKeyDictionary[GenericPrimitive, tuple[np.ndarray, np.ndarray] | None] = WeakKeyDictionary()

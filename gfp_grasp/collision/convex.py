@@ -34,17 +34,39 @@ def convex_parts(
     clouds: Iterable[np.ndarray], *, max_vertices: int | None = None
 ) -> tuple[tuple[ConvexPart, ...], int]:
     """Hulls of many point sets, and how many were dropped as slivers."""
-    kept, dropped = [], 0
+    hulls = []
     for points in clouds:
         centre = points.mean(axis=0)
         corners, faces = _hull(points - centre)
         if max_vertices is not None and len(corners) > max_vertices:
             corners, faces = _hull(fewer_corners(corners, max_vertices))
-        if _is_solid(corners, faces):
-            kept.append(ConvexPart(corners + centre, faces))
-        else:
-            dropped += 1
-    return tuple(kept), dropped
+        hulls.append((corners, faces, centre))
+    full = [hull for hull in hulls if len(hull[0])]
+    solid = _are_solid(full) if full else ()
+    kept = tuple(ConvexPart(hull[0] + hull[2], hull[1]) for hull, is_solid in zip(full, solid, strict=True) if is_solid)
+    return kept, len(hulls) - len(kept)
+
+
+def _are_solid(hulls: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> np.ndarray:
+    """Which hulls MuJoCo compiles; all at once, for there are many and each is small."""
+    triangles = np.concatenate([corners[faces] for corners, faces, _ in hulls])
+    starts = np.cumsum([0, *(len(faces) for _, faces, _ in hulls[:-1])])
+    vectors = area_vectors(triangles)
+    volume = np.add.reduceat(np.einsum("ni,ni->n", triangles[:, 0], vectors), starts) / 3
+    thin = volume < MIN_THICKNESS_M * np.add.reduceat(lengths(vectors), starts)  # else no width is below the least
+    solid = volume >= MIN_VOLUME_M3
+    for i in np.flatnonzero(thin & solid):
+        solid[i] = _thickness_m(*hulls[int(i)][:2]) >= MIN_THICKNESS_M
+    return solid
+
+
+def _thickness_m(corners: np.ndarray, faces: np.ndarray) -> float:
+    vectors = area_vectors(corners[faces])
+    areas = lengths(vectors)
+    broad = areas > _NEEDLE * areas.max()  # the direction of a needle is rounding only
+    normals = vectors[broad] / areas[broad, None]
+    depths = np.einsum("ni,ni->n", normals, corners[faces[broad, 0]])[:, None] - normals @ corners.T
+    return float(depths.max(axis=1).min())
 
 
 def needed_corners(points: np.ndarray, tolerance_m: float) -> np.ndarray:
@@ -73,23 +95,6 @@ def needed_corners(points: np.ndarray, tolerance_m: float) -> np.ndarray:
         # A few at once: each of them brings others in.
         farthest = farthest[np.argsort(-beyond[farthest], kind="stable")][: 1 + len(farthest) // 4]
         kept = np.union1d(kept, farthest)
-
-
-def _is_solid(corners: np.ndarray, faces: np.ndarray) -> bool:
-    if len(corners) < 4:
-        return False
-    a, b, c = (corners[faces[:, i]] for i in range(3))
-    across = cross(b - a, c - a)
-    volume = float(np.vdot(a, across)) / 6
-    if volume < MIN_VOLUME_M3:
-        return False
-    areas2 = lengths(across)
-    if volume < MIN_THICKNESS_M * areas2.sum() / 2:  # else no width is below the least
-        solid = areas2 > _NEEDLE * areas2.max()
-        normals = across[solid] / areas2[solid, None]
-        depths = (normals * a[solid]).sum(axis=1)[:, None] - normals @ corners.T
-        return bool(depths.max(axis=1).min() >= MIN_THICKNESS_M)
-    return True
 
 
 def _hull(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -164,7 +169,7 @@ class PartFaces:
             near &= places[axis] <= self.high[:, axis, None] + margin_m
         for part in np.flatnonzero(near.any(axis=1)):
             asked = np.flatnonzero(near[part])
-            near[part, asked] = self._height(places[:, asked], part) <= margin_m
+            near[part, asked] = self._height(places[:, asked], int(part)) <= margin_m
         return near
 
     def height(self, points: np.ndarray, part: int) -> np.ndarray:

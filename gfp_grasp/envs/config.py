@@ -34,6 +34,11 @@ class EnvConfig:
         elevation_max_deg: Highest.
         sensor: "ideal", "gaussian", "realsense" or "kinect".
         noise_m: Standard deviation of "gaussian".
+        mass_spread: An episode's mass is within this share of the object's own, up and down.
+        friction_min: Lowest coefficient of sliding friction: rubber on wet plastic.
+        friction_max: Highest: rubber on dry stoneware.
+        grip_min_n: Weakest force limit of the jaws.
+        grip_max_n: Strongest.
         spread_m: The object stands within this of the table's centre, along x and along y.
         render_mode: None or "rgb_array".
     """
@@ -52,6 +57,11 @@ class EnvConfig:
     elevation_max_deg: float = 60.0
     sensor: str = "gaussian"
     noise_m: float = 0.001
+    mass_spread: float = 0.25
+    friction_min: float = 0.4
+    friction_max: float = 1.0
+    grip_min_n: float = 25.0
+    grip_max_n: float = 35.0
     spread_m: float = 0.05
     render_mode: str | None = None
 
@@ -65,7 +75,7 @@ class EnvConfig:
         for name in ("num_points", "image_width", "image_height", "fov_deg", "distance_m"):
             if not getattr(self, name) > 0:
                 raise InvalidOption(f"{name} is {getattr(self, name)}; a positive number is expected")
-        for name in ("limit", "noise_m", "spread_m"):
+        for name in ("limit", "noise_m", "spread_m", "mass_spread"):
             if not getattr(self, name) >= 0:
                 raise InvalidOption(f"{name} is {getattr(self, name)}; zero or more is expected")
         if self.fov_deg >= 180:
@@ -75,6 +85,13 @@ class EnvConfig:
                 f"elevations are {self.elevation_min_deg} to {self.elevation_max_deg} degrees; "
                 "-90 < min <= max < 90 is expected"
             )
+
+        if self.mass_spread >= 1:
+            raise InvalidOption(f"mass_spread is {self.mass_spread}; a share below 1 is expected")
+        for what in ("friction", "grip"):
+            low, high = (getattr(self, f"{what}_{end}{'_n' if what == 'grip' else ''}") for end in ("min", "max"))
+            if not 0 < low <= high:
+                raise InvalidOption(f"{what} is from {low} to {high}; 0 < min <= max is expected")
 
     @classmethod
     def of(cls, options: dict[str, object]) -> EnvConfig:

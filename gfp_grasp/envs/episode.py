@@ -22,12 +22,38 @@ _UP = np.array([0.0, 0.0, 1.0])
 _LOOK_AT = 0.4
 
 
+@dataclass(frozen=True)
+class Load:
+    """What makes a grasp easy or hard besides its place.
+
+    Attributes:
+        mass_kg: Of the object.
+        friction: Sliding friction coefficient of whatever touches it.
+        grip_n: Force limit of each jaw.
+    """
+
+    mass_kg: float
+    friction: float
+    grip_n: float
+
+    @classmethod
+    def drawn(cls, truth: TrueObject, config: EnvConfig, rng: np.random.Generator) -> Load:
+        """From the ranges of a config."""
+        share, friction, grip = rng.uniform(size=3)
+        return cls(
+            truth.mass_kg * (1 + config.mass_spread * (2 * share - 1)),
+            config.friction_min + friction * (config.friction_max - config.friction_min),
+            config.grip_min_n + grip * (config.grip_max_n - config.grip_min_n),
+        )
+
+
 @dataclass(frozen=True, eq=False)
 class Episode:
     """One scene as it was drawn, seen and completed.
 
     Attributes:
         truth: The object.
+        load: Its mass and friction, and the force of the jaws.
         T_world_object: Where it came to rest.
         image: The depth picture, with the sensor's noise.
         detection: What was found in it; None where nothing was.
@@ -37,6 +63,7 @@ class Episode:
     """
 
     truth: TrueObject
+    load: Load
     T_world_object: np.ndarray
     image: DepthImage
     detection: Detection | None
@@ -61,16 +88,18 @@ def draw_episode(
         world: Its compiled scene, which is left settled.
         complete: The completer.
         config: Camera and placing.
-        rng: Draws yaw, place, view and noise, in this order.
+        rng: Draws the load, yaw, place, view and noise, in this order.
         given: A completion to use in place of the completer's.
     """
+    load = Load.drawn(truth, config, rng)
+    world.set_load(load.mass_kg, load.friction)
     yaw = rotation_about(_UP, rng.uniform(0, 2 * np.pi))
     place = np.array([*rng.uniform(-config.spread_m, config.spread_m, 2), 5e-4])
     world.settle(make_T(yaw, place))
     target = world.T_world_object[:3, 3] + (0.0, 0.0, _LOOK_AT * float(truth.mesh.bounds[1, 2]))
     image = _look(world, target, config, rng)
     if given is not None:
-        return Episode(truth, world.T_world_object, image, given.detection, given)
+        return Episode(truth, load, world.T_world_object, image, given.detection, given)
     detect = DetectConfig(classify=needs_class(config.completer))
     detection, completion, failure = None, None, ""
     with warnings.catch_warnings(record=True) as caught:
@@ -83,7 +112,7 @@ def draw_episode(
         except GfpGraspError as error:
             failure = f"{type(error).__name__}: {error}"
     notes = "; ".join(str(warning.message) for warning in caught if issubclass(warning.category, UserWarning))
-    return Episode(truth, world.T_world_object, image, detection, completion, failure, notes)
+    return Episode(truth, load, world.T_world_object, image, detection, completion, failure, notes)
 
 
 def _look(world: World, target: np.ndarray, config: EnvConfig, rng: np.random.Generator) -> DepthImage:

@@ -69,8 +69,10 @@ class GfpGraspEnv(gymnasium.Env[Observation, np.ndarray], EzPickle):
     | reason | str | one of `gfp_grasp.types.REASONS`; "" before an attempt |
     | lift_m | float | height gained by the object when the attempt ended |
     | slip_m | float | the most that it slipped in the gripper |
+    | falls_free | bool | fell when the jaws opened at last; False where it was not held until then |
     | object, category | str | name and class of the true object; the class is "" where it is unknown |
-    | mass_kg, friction | float | of the true object |
+    | mass_kg, friction | float | of the object in this episode |
+    | grip_n | float | force limit of each jaw |
     | completer, world | str | as in the options |
     | completion_failed | bool | nothing was detected or completed; a step in the completed world is `no_grasp_found` |
     | completion_error | str | the error that ended detection, completion or its simulation; "" where none did |
@@ -144,11 +146,12 @@ class GfpGraspEnv(gymnasium.Env[Observation, np.ndarray], EzPickle):
             raise gymnasium.error.ResetNeeded("reset the environment before its first step")
         grasp = self.action_code.decode(action)
         if self._world is None:
-            outcome = Outcome(False, "no_grasp_found", 0.0, 0.0, self.settings.as_dict())
+            outcome = Outcome(False, "no_grasp_found", 0.0, 0.0, False, self.settings.as_dict())
         else:
             self._world.restore()
             model, data, floats = self._world.model, self._world.data, self.config.world == "completed"
-            outcome = run_trial(model, data, grasp, self.settings, target=TARGET, floats=floats)
+            settings = replace(self.settings, grip_n=self.episode.load.grip_n)
+            outcome = run_trial(model, data, grasp, settings, target=TARGET, floats=floats)
         return _copy(self._observation), float(outcome.success), True, False, self._info(outcome)
 
     def render(self) -> np.ndarray | None:  # pyright: ignore[reportIncompatibleMethodOverride]
@@ -205,7 +208,7 @@ class GfpGraspEnv(gymnasium.Env[Observation, np.ndarray], EzPickle):
             return episode, None
         try:
             parts = episode.completion.collision.parts
-            return episode, World.of_parts(parts, episode.truth.mass_kg, episode.truth.friction)
+            return episode, World.of_parts(parts, episode.load.mass_kg, episode.load.friction)
         except GfpGraspError as error:  # no parts of it, or none that MuJoCo takes
             return replace(episode, failure=f"{type(error).__name__}: {error}"), None
 
@@ -216,10 +219,12 @@ class GfpGraspEnv(gymnasium.Env[Observation, np.ndarray], EzPickle):
             "reason": outcome.reason if outcome else "",
             "lift_m": outcome.lift_m if outcome else 0.0,
             "slip_m": outcome.slip_m if outcome else 0.0,
+            "falls_free": bool(outcome and outcome.falls_free),
             "object": episode.truth.name,
             "category": episode.truth.category,
-            "mass_kg": episode.truth.mass_kg,
-            "friction": episode.truth.friction,
+            "mass_kg": episode.load.mass_kg,
+            "friction": episode.load.friction,
+            "grip_n": episode.load.grip_n,
             "completer": self.config.completer,
             "world": self.config.world,
             "completion_failed": episode.completion is None,

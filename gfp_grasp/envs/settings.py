@@ -16,6 +16,8 @@ class TrialSettings:
     3. Lift by lift_m straight up in lift_s, then hold for hold_s.
     4. Shake: shake_cycles of a sinusoid of shake_m along the world's x and then y at shake_hz (3 m/s2 at its peak),
        then a turn by turn_deg to either side about each of these axes through the gripper at turn_hz.
+    5. Release: the jaws open at once, and release_s later the object should have fallen by drop_m. This is told
+       (`falls_free`), but is no part of success: what a hook holds is held.
 
     From the end of closing on, the object's point that was at the gripper's origin may leave it by slip_m and the
     object may turn in the gripper by slip_deg; more, or losing both pads, is `slipped_on_lift` or `slipped_on_shake`.
@@ -39,6 +41,8 @@ class TrialSettings:
         turn_hz: Its frequency; one cycle about each axis.
         slip_m: Limit of slip.
         slip_deg: Limit of turning.
+        release_s: Time for a released object to fall.
+        drop_m: Least fall.
         too_fast_mps: Speed that no object reaches in a sound simulation.
         control_s: Time between two commands and checks.
     """
@@ -60,6 +64,8 @@ class TrialSettings:
     turn_hz: float = 1.0
     slip_m: float = 0.010
     slip_deg: float = 10.0
+    release_s: float = 0.3
+    drop_m: float = 0.05
     too_fast_mps: float = 20.0
     control_s: float = 0.01
 

@@ -1,4 +1,4 @@
-"""One grasp attempt in the simulator: approach, close, lift, shake."""
+"""One grasp attempt in the simulator: approach, close, lift, shake, release."""
 
 # MuJoCo's names come from compiled modules, into which the type checker does not see.
 # pyright: reportAttributeAccessIssue=false
@@ -14,6 +14,7 @@ from scipy.spatial.transform import Rotation
 
 from gfp_grasp.envs.rig import Rig
 from gfp_grasp.envs.settings import TrialSettings
+from gfp_grasp.scenes.gripper import STROKE_M
 from gfp_grasp.transforms import invert_T, make_T
 from gfp_grasp.types import Grasp, Outcome
 
@@ -55,7 +56,9 @@ def run_trial(
     attempt.rig.set_weight(0.0 if floats else 1.0)
     reason = attempt.run()
     attempt.rig.set_weight(1.0)
-    return Outcome(reason == "held", reason, attempt.lift_m(), attempt.largest_slip_m, settings.as_dict())
+    lift_m = attempt.lift_m()
+    falls_free = reason == "held" and attempt.falls_free()
+    return Outcome(reason == "held", reason, lift_m, attempt.largest_slip_m, falls_free, settings.as_dict())
 
 
 class _Attempt:
@@ -93,6 +96,14 @@ class _Attempt:
         """Height gained by the object since the attempt began; 0 where the state is not finite."""
         gained = float(self.rig.T_world_target[2, 3] - self.T_target_start[2, 3])
         return gained if np.isfinite(gained) else 0.0
+
+    def falls_free(self) -> bool:
+        """Open the jaws in the air and see whether the object falls."""
+        s = self.settings
+        held_at = float(self.rig.T_world_target[2, 3])
+        self.rig.set_opening(STROKE_M)
+        failure = self._move(_stay, s.release_s, lambda: None, raised_m=s.lift_m)
+        return failure is None and float(self.rig.T_world_target[2, 3]) < held_at - s.drop_m
 
     def _approach(self) -> str | None:
         s = self.settings

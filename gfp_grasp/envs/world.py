@@ -53,6 +53,14 @@ class World:
         """(4, 4) of the object's body."""
         return make_T(self.data.xmat[self._body].reshape(3, 3), self.data.xpos[self._body])
 
+    def set_load(self, mass_kg: float, friction: float) -> None:
+        """Give the object a mass and a friction; the state is that of the model until it is settled or restored."""
+        share = mass_kg / self.model.body_mass[self._body]
+        self.model.body_mass[self._body] *= share
+        self.model.body_inertia[self._body] *= share
+        self.model.geom_friction[self.model.geom_bodyid == self._body, 0] = friction
+        mujoco.mj_setConst(self.model, self.data)
+
     def settle(self, T_world_object: np.ndarray) -> None:
         """Put the object down, let it come to rest, and remember the state.
 
