@@ -67,3 +67,11 @@ class AssetMissing(GfpGraspError, FileNotFoundError):
 
 class BuildFailed(GfpGraspError):
     """A primitive cannot be built from the meshes that were given."""
+
+
+class WorkerLost(GfpGraspError):
+    """A process died under a job, again and again."""
+
+
+class CannotWrite(GfpGraspError, OSError):
+    """A file of results cannot be written: no room, no right, or no such place."""

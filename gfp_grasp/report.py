@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import binomtest
 
+from gfp_grasp.journal import write_whole
 from gfp_grasp.types import REASONS
 
 # Normal quantile of a two-sided 95 % interval.
@@ -127,8 +128,12 @@ class Report:
         return json.dumps(content, indent=1, allow_nan=False)
 
     def write(self, path: str | Path) -> None:
-        """Write the JSON."""
-        Path(path).write_text(self.to_json() + "\n", encoding="utf-8")
+        """Write the JSON.
+
+        Raises:
+            CannotWrite: There is no room, no right, or no such place.
+        """
+        write_whole(path, self.to_json() + "\n")
 
 
 def wilson_interval(successes: int, attempts: int) -> tuple[float, float]:

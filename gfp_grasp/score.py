@@ -13,12 +13,14 @@ from typing import Any
 
 import numpy as np
 
+from gfp_grasp import __version__
 from gfp_grasp.complete import Completion
 from gfp_grasp.completers import completer
 from gfp_grasp.envs.grasp_env import GfpGraspEnv
 from gfp_grasp.envs.settings import TrialSettings
-from gfp_grasp.errors import GfpGraspError, InvalidMesh, InvalidOption
+from gfp_grasp.errors import GfpGraspError, InvalidMesh, InvalidOption, WorkerLost
 from gfp_grasp.grasps.planners import PLANNERS, planner
+from gfp_grasp.journal import Journal
 from gfp_grasp.metrics import CompletionErrors, completion_errors
 from gfp_grasp.parallel import pmap
 from gfp_grasp.primitives import list_primitives
@@ -44,6 +46,8 @@ def score(
     limit: int | None = None,
     classes: Sequence[str] | None = None,
     workers: int = 1,
+    ray: str | None = None,
+    journal: str | Path | None = None,
     progress: Progress | None = None,
 ) -> Report:
     """Score completers by their grasps.
@@ -65,12 +69,16 @@ def score(
         classes: Keep objects of these classes; None keeps those that have a primitive and those whose class is not
             known, ("*",) keeps all.
         workers: Processes; the result does not depend on it.
+        ray: Address of a Ray cluster to run on, or "auto"; the result is the same.
+        journal: File that trials are written to as they come. Those that it holds of a run that was stopped are kept,
+            and the file stays: it is the caller's to remove once the report is written.
         progress: Wraps the stream of trials, told how many there will be.
 
     Raises:
         UnknownCompleter: A name that is not on offer.
         InvalidOption: Objects that are not there, no object of these classes, views or grasps below one, or an unknown
             planner.
+        CannotWrite: The journal; what was written before is kept.
         InvalidMesh: Files of which no object can be made; all of them are named, before anything is scored.
     """
     for count, what in ((views, "views"), (grasps, "grasps"), (1 if limit is None else limit, "limit")):
@@ -89,7 +97,6 @@ def score(
         for view in range(views)
         for row in completers
     ]
-    trials = pmap(_attempt, jobs, workers=workers, progress=progress)
     settings = {
         "objects": _label(objects),
         "split": split,
@@ -101,7 +108,7 @@ def score(
         "seed": int(seed),
         "trial": asdict(TrialSettings()),
     }
-    return Report(settings, tuple(trials))
+    return Report(settings, _trials(jobs, settings, journal, workers=workers, ray=ray, progress=progress))
 
 
 @dataclass(frozen=True)
@@ -127,6 +134,47 @@ class _Job:
         """The same for every completer, whatever else is scored."""
         entropy = [self.seed, zlib.crc32(self.object_name.encode()), self.view]
         return int(np.random.SeedSequence(entropy).generate_state(1)[0])
+
+
+def _trials(
+    jobs: Sequence[_Job], settings: Mapping[str, object], path: str | Path | None, **how: Any
+) -> tuple[Trial, ...]:
+    """Of all jobs, but those that the journal holds are not made again."""
+    if path is None:
+        return tuple(pmap(_attempt, jobs, lost=_lost, **how))
+    journal = Journal(path, {"version": __version__, **settings})
+    trials = {(t.object, t.view, t.completer): t for t in (Trial(**record) for record in journal.records)}
+    left = [job for job in jobs if (job.object_name, job.view, job.row) not in trials]
+    for trial in pmap(_attempt, left, lost=_lost, keep=lambda _, trial: journal.add(asdict(trial)), **how):
+        trials[trial.object, trial.view, trial.completer] = trial
+    return tuple(trials[job.object_name, job.view, job.row] for job in jobs)
+
+
+def _lost(job: _Job, error: WorkerLost) -> Trial:
+    """A failed trial: the night's work goes on without it."""
+    return Trial(
+        object=job.object_name,
+        category="",
+        completer=job.row,
+        view=job.view,
+        episode_seed=job.episode_seed,
+        success=False,
+        reason="no_grasp_found",
+        lift_m=0.0,
+        slip_m=0.0,
+        falls_free=False,
+        mass_kg=0.0,
+        friction=0.0,
+        grip_n=0.0,
+        completed_success=False,
+        completed_reason="no_grasp_found",
+        quality=None,
+        width_m=None,
+        cd_m=None,
+        f_score=None,
+        note=f"WorkerLost: {error}",
+        timings_s={"complete": 0.0, "plan": 0.0, "execute": 0.0},
+    )
 
 
 def _names(row: str) -> tuple[str, str]:

@@ -73,6 +73,7 @@ def bench_completion(
     config: CompletionBench = CompletionBench(),
     known: Mapping[str, Any] | None = None,
     workers: int = 1,
+    ray: str | None = None,
     progress=None,
 ) -> dict[str, object]:
     """Measure completions of procedural families, or of the cups, mugs and bottles of a folder of meshes.
@@ -84,6 +85,7 @@ def bench_completion(
         config: Views and noise.
         known: Report of an earlier run, whose trials are kept if its settings are the same; else all are made again.
         workers: Processes.
+        ray: Address of a Ray cluster to run on instead, or "auto".
         progress: Wraps the stream of finished views.
 
     Returns:
@@ -111,7 +113,8 @@ def bench_completion(
             kept.setdefault((row["object"], row["view"]), []).append(row)
         methods = tuple(m for m in METHODS if m in methods or m in {row["method"] for row in known["trials"]})
     jobs = [(source, view, kept.get((source.name, view), [])) for source in sources for view in range(config.views)]
-    trials = pmap(partial(_trials, methods=tuple(methods), config=config), jobs, workers=workers, progress=progress)
+    run = partial(_trials, methods=tuple(methods), config=config)
+    trials = pmap(run, jobs, workers=workers, ray=ray, progress=progress)
     flat = [row for rows in trials for row in rows]
     by_class = {
         c: [r for r in flat if c in ("all", r["category"])] for c in (*sorted({s.category for s in sources}), "all")

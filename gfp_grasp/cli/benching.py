@@ -7,7 +7,20 @@ from typing import Annotated
 
 import typer
 
-from gfp_grasp.cli.terminal import JsonFile, Limit, Objects, Seed, Split, Workers, err, out, save_json, table, track
+from gfp_grasp.cli.terminal import (
+    JsonFile,
+    Limit,
+    Objects,
+    Ray,
+    Seed,
+    Split,
+    Workers,
+    err,
+    out,
+    save_json,
+    table,
+    track,
+)
 from gfp_grasp.errors import InvalidOption
 
 bench = typer.Typer(name="bench", help="Measure detection, registration and completion.", no_args_is_help=True)
@@ -24,6 +37,7 @@ def completion(
     noise_m: Annotated[float, typer.Option(min=0.0, help="Standard deviation of the depth noise.")] = 0.001,
     protocol: Annotated[str, typer.Option(help="standard, noisy, fallen or hidden.")] = "standard",
     workers: Workers = 1,
+    ray: Ray = None,
     json_file: JsonFile = None,
     picture: Annotated[Path | None, typer.Option(dir_okay=False, help="Draw the rows to this .svg file.")] = None,
     resume: Annotated[
@@ -41,7 +55,7 @@ def completion(
     config = CompletionBench(views, seed, split, limit, given, noise_m, protocol)
     known = json.loads(json_file.read_text()) if resume and json_file is not None and json_file.is_file() else None
     report = bench_completion(
-        objects, methods=chosen, config=config, known=known, workers=workers, progress=track("views")
+        objects, methods=chosen, config=config, known=known, workers=workers, ray=ray, progress=track("views")
     )
     rows = report["rows"]
     assert isinstance(rows, Mapping)

@@ -4,7 +4,7 @@ from typing import Annotated
 
 import typer
 
-from gfp_grasp.cli.terminal import JsonFile, Limit, Objects, Seed, Split, Workers, table, track
+from gfp_grasp.cli.terminal import JsonFile, Limit, Objects, Ray, Seed, Split, Workers, table, track
 
 COMPLETERS = "observed,observed/top-down,mirror,gfs,registration,gfpnet-paper,gfpnet,oracle"
 
@@ -20,15 +20,18 @@ def score(
     limit: Limit = None,
     classes: Annotated[str | None, typer.Option(help="Of the folder's objects, with commas between; * is all.")] = None,
     workers: Workers = 1,
+    ray: Ray = None,
     json_file: JsonFile = None,
     seed: Seed = 0,
 ) -> None:
     """Try the best grasp of each completer in the simulator, on the true object and on what was completed.
 
     `observed` (the hull of the seen points) is the bracket below, `oracle` (the true mesh) the one above.
+    With --json, trials are written beside that file as they come: the same command goes on where it was stopped.
     """
     from gfp_grasp.score import score as run
 
+    journal = None if json_file is None else json_file.with_name(f"{json_file.stem}.part.jsonl")
     report = run(
         objects,
         tuple(name.strip() for name in completers.split(",")),
@@ -39,11 +42,13 @@ def score(
         limit=limit,
         classes=classes.split(",") if classes else None,
         workers=workers,
+        ray=ray,
+        journal=journal,
         progress=track("trials"),
     )
     rows = report.table()
     headings = tuple(rows[0])
     table(headings, [tuple(row.values()) for row in rows], words=1)
-    if json_file is not None:
-        json_file.parent.mkdir(parents=True, exist_ok=True)
+    if json_file is not None and journal is not None:
         report.write(json_file)
+        journal.unlink(missing_ok=True)

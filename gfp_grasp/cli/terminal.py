@@ -24,12 +24,14 @@ from rich.table import Table
 from rich.text import Text
 
 from gfp_grasp.errors import InvalidOption
+from gfp_grasp.journal import write_whole
 
 Result = TypeVar("Result")
 Track = Callable[[Iterable[Result], int], Iterable[Result]]
 
 Seed = Annotated[int, typer.Option(min=0, help="Of every random choice; the same seed gives the same answer.")]
 Workers = Annotated[int, typer.Option(min=0, help="Processes; 0 is one a core.")]
+Ray = Annotated[str | None, typer.Option(help="Run on a Ray cluster: auto (this machine's), or host:port of its head.")]
 Limit = Annotated[int | None, typer.Option(min=1, help="At most so many objects (of each family).")]
 Split = Annotated[str, typer.Option(help="Of the procedural families: train, val or test.")]
 Objects = Annotated[str, typer.Option(help="Family (cup, mug, bottle; several: cup,mug), mesh file or folder.")]
@@ -106,10 +108,9 @@ def save_json(path: Path | None, content: object) -> None:
     """Write figures to the file that the user named, if any; trials, of which there are many, one a line."""
     if path is None:
         return
-    path.parent.mkdir(parents=True, exist_ok=True)
     if not isinstance(content, Mapping) or "trials" not in content:
-        path.write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
+        write_whole(path, json.dumps(content, indent=1) + "\n")
         return
     head = json.dumps({name: value for name, value in content.items() if name != "trials"}, indent=1)
     trials = ",\n".join(json.dumps(trial) for trial in content["trials"])
-    path.write_text(f'{head[:-2]},\n "trials": [\n{trials}\n ]\n}}\n', encoding="utf-8")
+    write_whole(path, f'{head[:-2]},\n "trials": [\n{trials}\n ]\n}}\n')

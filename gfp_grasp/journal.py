@@ -1,0 +1,104 @@
+"""Results on disk as they come, so that a run that was stopped goes on where it was."""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Callable, Mapping
+from contextlib import suppress
+from pathlib import Path
+from typing import Any
+
+from gfp_grasp.errors import CannotWrite, InvalidOption
+
+
+class Journal:
+    """A file of results, one a line, under a line that tells what they were made with.
+
+    A line that was cut short when its run was stopped is left out, and written anew.
+
+    Attributes:
+        path: The file.
+        records: What it held when it was opened.
+
+    Raises:
+        InvalidOption: The file holds results of other settings, or something else.
+        CannotWrite: The file cannot be written.
+    """
+
+    def __init__(self, path: str | Path, settings: Mapping[str, object]) -> None:
+        self.path = Path(path)
+        head = json.dumps(settings, sort_keys=True, allow_nan=False)
+        lines = self._whole_lines()
+        if lines and lines[0] != head:
+            raise InvalidOption(
+                f"{self.path.name} holds results of another run, which would be lost: give that run's options, "
+                "or remove the file"
+            )
+        self.records: list[dict[str, Any]] = [json.loads(line) for line in lines[1:]]
+        if not lines:
+            self._try(lambda: self.path.parent.mkdir(parents=True, exist_ok=True))
+            self._append(head)
+
+    def add(self, record: Mapping[str, object]) -> None:
+        """Write one result down.
+
+        Raises:
+            CannotWrite: There is no room, or no right; all lines before this one are whole.
+        """
+        self._append(json.dumps(record, allow_nan=False))
+
+    def _whole_lines(self) -> list[str]:
+        """What is in the file, after the end of it that is no whole line is cut off."""
+        if not self.path.exists():
+            return []
+        try:
+            content = self.path.read_bytes()
+            whole = content.rfind(b"\n") + 1
+            if whole < len(content):
+                with self.path.open("r+b") as file:
+                    file.truncate(whole)
+            return content[:whole].decode("utf-8").splitlines()
+        except UnicodeDecodeError:
+            raise InvalidOption(f"{self.path.name} holds no results: name another file, or remove it") from None
+        except OSError as error:
+            raise self._cannot(error) from error
+
+    def _append(self, line: str) -> None:
+        def write() -> None:
+            with self.path.open("ab") as file:
+                file.write(line.encode("utf-8") + b"\n")
+
+        self._try(write)
+
+    def _try(self, act: Callable[[], object]) -> None:
+        try:
+            act()
+        except OSError as error:
+            raise self._cannot(error) from error
+
+    def _cannot(self, error: OSError) -> CannotWrite:
+        return CannotWrite(
+            f"{self.path.name} cannot be written ({error.strerror or error}): make room or name another place; "
+            "what was written before is kept, and the same command goes on from there"
+        )
+
+
+def write_whole(path: str | Path, text: str) -> None:
+    """Write a file so that there is all of it or what was there before.
+
+    Raises:
+        CannotWrite: There is no room, no right, or no such place.
+    """
+    path = Path(path)
+    beside = path.with_name(f".{path.name}.{os.getpid()}.tmp")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        beside.write_text(text, encoding="utf-8")
+        beside.replace(path)
+    except OSError as error:
+        with suppress(OSError):
+            beside.unlink(missing_ok=True)
+        raise CannotWrite(
+            f"{path.name} cannot be written ({error.strerror or error}): make room or name another place"
+        ) from error

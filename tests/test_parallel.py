@@ -1,0 +1,172 @@
+"""Jobs over processes that die, over a cluster, and results that are on disk before the run is over."""
+
+import importlib.util
+import os
+import signal
+from pathlib import Path
+
+import pytest
+
+from gfp_grasp.errors import CannotWrite, InvalidOption, WorkerLost
+from gfp_grasp.journal import Journal, write_whole
+from gfp_grasp.parallel import ATTEMPTS, pmap
+
+HAS_RAY = importlib.util.find_spec("ray") is not None
+
+
+def square(number: int) -> int:
+    return number * number
+
+
+def killed_once(job: tuple[int, str]) -> int:
+    """Its process is killed the first time that it meets the number 3."""
+    number, folder = job
+    if number == 3 and not (Path(folder) / "was_here").exists():
+        (Path(folder) / "was_here").touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return square(number)
+
+
+def always_killed(number: int) -> int:
+    if number == 3:
+        os.kill(os.getpid(), signal.SIGKILL)
+    return square(number)
+
+
+def refuses(number: int) -> int:
+    if number == 3:
+        raise InvalidOption("three is not expected")
+    return square(number)
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_results_come_in_the_order_of_the_jobs_and_are_kept_as_they_come(workers):
+    kept, watched = [], []
+
+    def watch(results, total):
+        assert total == 5
+        for result in results:
+            watched.append(result)
+            yield result
+
+    found = pmap(square, range(5), workers=workers, progress=watch, keep=lambda job, result: kept.append((job, result)))
+    assert found == [0, 1, 4, 9, 16]
+    assert sorted(watched) == found
+    assert sorted(kept) == list(enumerate(found))
+
+
+def test_the_job_of_a_killed_worker_is_done_again(tmp_path):
+    assert pmap(killed_once, [(i, str(tmp_path)) for i in range(8)], workers=2) == [i * i for i in range(8)]
+
+
+def test_a_job_that_kills_every_worker_costs_no_other_its_result():
+    kept = []
+    with pytest.raises(WorkerLost, match=rf"{ATTEMPTS} processes died under 3"):
+        pmap(always_killed, [3, *range(10, 14)], workers=2, keep=lambda job, _: kept.append(job))
+    found = pmap(always_killed, range(6), workers=2, lost=lambda job, error: -job)
+    assert found == [0, 1, 4, -3, 16, 25]
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_jobs_own_error_is_seen_as_it_was(workers):
+    with pytest.raises(InvalidOption, match="three is not expected"):
+        pmap(refuses, range(5), workers=workers)
+
+
+def test_a_negative_number_of_workers_is_refused():
+    with pytest.raises(InvalidOption, match="workers is -1"):
+        pmap(square, [1], workers=-1)
+
+
+def test_a_journal_goes_on_after_the_last_whole_line(tmp_path):
+    path = tmp_path / "run" / "a.part.jsonl"
+    first = Journal(path, {"seed": 1})
+    first.add({"n": 1})
+    first.add({"n": 2})
+    with path.open("ab") as file:
+        file.write(b'{"n": 3')  # stopped in the middle of a line
+    second = Journal(path, {"seed": 1})
+    assert second.records == [{"n": 1}, {"n": 2}]
+    second.add({"n": 4})
+    assert Journal(path, {"seed": 1}).records == [{"n": 1}, {"n": 2}, {"n": 4}]
+
+
+def test_a_journal_of_other_settings_is_left_alone(tmp_path):
+    path = tmp_path / "a.jsonl"
+    Journal(path, {"seed": 1}).add({"n": 1})
+    before = path.read_bytes()
+    with pytest.raises(InvalidOption, match="another run"):
+        Journal(path, {"seed": 2})
+    assert path.read_bytes() == before
+    path.write_bytes(b"\xff\xfe\n")
+    with pytest.raises(InvalidOption, match="holds no results"):
+        Journal(path, {"seed": 1})
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full, which is a disk without room")
+def test_a_full_disk_is_named_and_costs_nothing_that_was_written(tmp_path, monkeypatch):
+    path = tmp_path / "a.jsonl"
+    journal = Journal(path, {"seed": 1})
+    journal.add({"n": 1})
+    monkeypatch.setattr(journal, "path", Path("/dev/full"))
+    with pytest.raises(CannotWrite, match="No space left"):
+        journal.add({"n": 2})
+    assert Journal(path, {"seed": 1}).records == [{"n": 1}]
+
+
+def test_a_file_is_written_whole_or_not_at_all(tmp_path):
+    path = tmp_path / "new" / "a.json"
+    write_whole(path, "1")
+    write_whole(path, "2")
+    assert path.read_text() == "2"
+    assert [file.name for file in path.parent.iterdir()] == ["a.json"]
+    (tmp_path / "file").touch()
+    with pytest.raises(CannotWrite, match=r"b\.json cannot be written"):
+        write_whole(tmp_path / "file" / "b.json", "3")
+
+
+@pytest.mark.skipif(HAS_RAY, reason="Ray is installed")
+def test_without_ray_the_extra_is_named():
+    with pytest.raises(InvalidOption, match=r"gfp-grasp\[cluster\]"):
+        pmap(square, [1, 2], ray="auto")
+
+
+@pytest.fixture(scope="module")
+def cluster():
+    """Address of a cluster of two nodes of one core each, in processes of this machine."""
+    utils = pytest.importorskip("ray.cluster_utils")
+    before = os.environ.get("PYTHONPATH")
+    os.environ["PYTHONPATH"] = str(Path(__file__).parent)  # the nodes are to find the functions above
+    made = utils.Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
+    made.add_node(num_cpus=1)
+    try:
+        yield made.address
+    finally:
+        made.shutdown()
+        os.environ.pop("PYTHONPATH")
+        if before is not None:
+            os.environ["PYTHONPATH"] = before
+
+
+@pytest.mark.slow
+def test_a_cluster_gives_the_same_results_and_does_the_job_of_a_killed_worker_again(cluster, tmp_path):
+    kept = []
+    jobs = [(i, str(tmp_path)) for i in range(8)]
+    found = pmap(killed_once, jobs, ray=cluster, keep=lambda job, _: kept.append(job))
+    assert found == [i * i for i in range(8)]
+    assert sorted(kept) == jobs
+    assert (tmp_path / "was_here").exists()
+
+
+@pytest.mark.slow
+def test_on_a_cluster_too_a_bad_job_costs_no_other_its_result(cluster):
+    assert pmap(always_killed, range(6), ray=cluster, lost=lambda job, error: -job) == [0, 1, 4, -3, 16, 25]
+    with pytest.raises(InvalidOption, match="three is not expected"):
+        pmap(refuses, range(5), ray=cluster)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(not HAS_RAY, reason="Ray is not installed")
+def test_a_cluster_that_is_not_there_is_named():
+    with pytest.raises(InvalidOption, match="no Ray cluster"):
+        pmap(square, [1, 2], ray="127.0.0.1:1")
