@@ -99,16 +99,18 @@ class Report:
         return {name: _summary([trial for trial in self.trials if trial.completer == name]) for name in names}
 
     def paired(self) -> dict[str, dict[str, dict[str, Any]]]:
-        """Every completer beside those that bracket it, on the same objects, views and seeds.
+        """Every row beside those that bracket it, and beside other planners' of its completer, on the same views.
 
-        {completer: {bracket: {"pairs", "only_this", "only_bracket" (views on which one of the two held), "p" (exact
-        McNemar, two-sided)}}}, of the brackets that were scored.
+        {row: {other: {"pairs", "only_this", "only_other" (views on which one of the two held), "p" (exact McNemar,
+        two-sided)}}}, of the brackets that were scored, and the other planners.
         """
         held = {(t.completer, t.object, t.view): t.success for t in self.trials}
         names = dict.fromkeys(t.completer for t in self.trials)
         return {
             name: {
-                bracket: _paired(held, name, bracket) for bracket in BRACKETS if bracket in names and bracket != name
+                other: _paired(held, name, other)
+                for other in dict.fromkeys((*BRACKETS, *names))
+                if other in names and other != name and (other in BRACKETS or _completer(other) == _completer(name))
             }
             for name in names
         }
@@ -152,16 +154,20 @@ def mcnemar_p(only_first: int, only_second: int) -> float:
     return float(binomtest(only_first, differing, 0.5).pvalue) if differing else 1.0
 
 
-def _paired(held: Mapping[tuple[str, str, int], bool], name: str, bracket: str) -> dict[str, Any]:
+def _completer(row: str) -> str:
+    return row.partition("/")[0]
+
+
+def _paired(held: Mapping[tuple[str, str, int], bool], name: str, rival: str) -> dict[str, Any]:
     pairs = [
-        (success, held[bracket, thing, view])
+        (success, held[rival, thing, view])
         for (completer, thing, view), success in held.items()
-        if completer == name and (bracket, thing, view) in held
+        if completer == name and (rival, thing, view) in held
     ]
     only_this = sum(mine and not other for mine, other in pairs)
-    only_bracket = sum(other and not mine for mine, other in pairs)
-    p = mcnemar_p(only_this, only_bracket)
-    return {"pairs": len(pairs), "only_this": only_this, "only_bracket": only_bracket, "p": p}
+    only_other = sum(other and not mine for mine, other in pairs)
+    p = mcnemar_p(only_this, only_other)
+    return {"pairs": len(pairs), "only_this": only_this, "only_other": only_other, "p": p}
 
 
 def _summary(trials: Sequence[Trial]) -> dict[str, Any]:

@@ -13,12 +13,12 @@ import gfp_grasp
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "gfp_grasp"
 ROWS = (
-    ("errors", "types", "assets", "transforms", "parallel", "plugins"),
+    ("errors", "types", "assets", "transforms", "parallel", "journal", "plugins"),
     ("camera", "meshes", "metrics", "shapes", "collision"),
     ("arguments", "observation", "primitives", "detect", "register", "deform", "grasps"),
     ("complete", "completers", "completion", "export", "scenes", "datasets", "captures"),
     ("envs", "train"),
-    ("report", "score", "bench", "cli", "demo"),
+    ("report", "attempts", "score", "scorepage", "bench", "cli", "demo", "view", "examples"),
 )
 ROW_OF = {room: row for row, rooms in enumerate(ROWS) for room in rooms}
 # A prefix of the module's name under gfp_grasp, for each library that is slow to load or can crash.

@@ -1,10 +1,14 @@
 """The score of completers on plain cylinders, and its report."""
 
 import json
+import os
+import signal
+from pathlib import Path
 
 import pytest
 import trimesh
 
+from gfp_grasp.attempts import attempt
 from gfp_grasp.errors import InvalidOption, UnknownCompleter
 from gfp_grasp.report import Report, Trial, mcnemar_p, wilson_interval
 from gfp_grasp.score import score
@@ -33,6 +37,76 @@ def without_timings(report):
     for row in (*content["trials"], *content["completers"].values()):
         del row["timings_s"]
     return content
+
+
+def test_a_run_that_was_stopped_goes_on_where_it_was(folder, report, tmp_path):
+    journal = tmp_path / "score.part.jsonl"
+    stopped = []
+
+    def stop_after_three(trials, total):
+        assert total == len(report.trials)
+        for trial in trials:
+            stopped.append(trial)
+            if len(stopped) == 3:
+                raise KeyboardInterrupt
+            yield trial
+
+    with pytest.raises(KeyboardInterrupt):
+        score(folder, COMPLETERS, views=1, seed=5, journal=journal, progress=stop_after_three)
+    assert len(journal.read_text().splitlines()) == 4  # the settings and three trials
+    left = []
+    again = score(folder, COMPLETERS, views=1, seed=5, journal=journal, progress=lambda t, n: (left.append(n), t)[1])
+    assert left == [len(report.trials) - 3]
+    assert without_timings(again) == without_timings(report)
+
+
+def test_the_journal_of_another_seed_is_refused(folder, tmp_path):
+    journal = tmp_path / "score.part.jsonl"
+    score(folder, ("oracle",), views=1, journal=journal)
+    with pytest.raises(InvalidOption, match="another run"):
+        score(folder, ("oracle",), views=1, seed=1, journal=journal)
+
+
+def test_what_the_gripper_cannot_take_hold_of_is_left_out_and_named(tmp_path):
+    for name, radius_m in (("bottle__slim", 0.025), ("bottle__stout", 0.08)):
+        mesh = trimesh.creation.cylinder(radius_m, 0.14, sections=32)
+        mesh.apply_translation((0, 0, 0.07))
+        mesh.export(tmp_path / f"{name}.ply")
+    found = score(tmp_path, ("oracle",), views=1, grasps=1)
+    assert found.settings["ungraspable"] == ["stout"]
+    assert {trial.object for trial in found.trials} == {"slim"}
+    (tmp_path / "bottle__slim.ply").unlink()
+    with pytest.raises(InvalidOption, match="cannot take hold of any of stout"):
+        score(tmp_path, ("oracle",), views=1)
+
+
+def killed_at_first_trial(job):
+    marker = Path(job.objects) / "was_here"
+    if not marker.exists():
+        marker.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return attempt(job)
+
+
+@pytest.mark.slow
+def test_a_killed_worker_costs_no_trial(folder, report, monkeypatch):
+    monkeypatch.setattr("gfp_grasp.score.attempt", killed_at_first_trial)
+    again = score(folder, COMPLETERS, views=1, seed=5, workers=2)
+    assert (folder / "was_here").exists()
+    assert without_timings(again) == without_timings(report)
+
+
+@pytest.mark.slow
+def test_a_cluster_of_two_nodes_scores_the_same_trial_by_trial(folder, report, monkeypatch):
+    utils = pytest.importorskip("ray.cluster_utils")
+    monkeypatch.setenv("PYTHONPATH", str(Path(__file__).parent))  # the nodes are to find own_completers
+    cluster = utils.Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
+    try:
+        cluster.add_node(num_cpus=1)
+        again = score(folder, COMPLETERS, views=1, seed=5, ray=cluster.address)
+    finally:
+        cluster.shutdown()
+    assert without_timings(again) == without_timings(report)
 
 
 def test_every_completer_meets_the_same_objects_and_views(report):
@@ -181,7 +255,7 @@ def test_completers_are_paired_with_those_that_bracket_them_view_by_view():
     }
     trials = [trial(name, view, truth, True) for name, row in held.items() for view, truth in enumerate(row)]
     paired = Report({}, tuple(trials)).paired()
-    assert paired["mirror"] == {"oracle": {"pairs": 7, "only_this": 0, "only_bracket": 6, "p": 2 * 0.5**6}}
+    assert paired["mirror"] == {"oracle": {"pairs": 7, "only_this": 0, "only_other": 6, "p": 2 * 0.5**6}}
     assert paired["oracle"] == {}
 
 

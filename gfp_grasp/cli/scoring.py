@@ -1,10 +1,11 @@
 """`gfp-grasp score`: what a completer's grasps do to the true object."""
 
+from pathlib import Path
 from typing import Annotated
 
 import typer
 
-from gfp_grasp.cli.terminal import JsonFile, Limit, Objects, Ray, Seed, Split, Workers, table, track
+from gfp_grasp.cli.terminal import JsonFile, Limit, Objects, Ray, Seed, Split, Workers, out, table, track
 
 COMPLETERS = "observed,observed/top-down,mirror,gfs,registration,gfpnet-paper,gfpnet,oracle"
 
@@ -22,6 +23,9 @@ def score(
     workers: Workers = 1,
     ray: Ray = None,
     json_file: JsonFile = None,
+    page: Annotated[
+        Path | None, typer.Option("--report", help="Folder for a page of charts, failures and figures; index.html.")
+    ] = None,
     seed: Seed = 0,
 ) -> None:
     """Try the best grasp of each completer in the simulator, on the true object and on what was completed.
@@ -31,6 +35,11 @@ def score(
     """
     from gfp_grasp.score import score as run
 
+    if page is not None:
+        from gfp_grasp.scorepage import FIGURES, prepare_folder, write_score_page
+
+        prepare_folder(page)  # refused now, not after a night's work
+        json_file = json_file or page / FIGURES
     journal = None if json_file is None else json_file.with_name(f"{json_file.stem}.part.jsonl")
     report = run(
         objects,
@@ -52,3 +61,6 @@ def score(
     if json_file is not None and journal is not None:
         report.write(json_file)
         journal.unlink(missing_ok=True)
+    if page is not None:
+        made = write_score_page(report, page, objects=objects, split=split, progress=track("failures"))
+        out.print(f"open {made}", markup=False, highlight=False, soft_wrap=True)

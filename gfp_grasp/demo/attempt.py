@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import trimesh
@@ -12,9 +13,10 @@ import trimesh
 from gfp_grasp.complete import Completion
 from gfp_grasp.envs import run_trial
 from gfp_grasp.envs.picture import shade
+from gfp_grasp.envs.settings import TrialSettings
 from gfp_grasp.grasps import plan_grasps
 from gfp_grasp.scenes.stage import Stage
-from gfp_grasp.transforms import look_at
+from gfp_grasp.transforms import look_at, rotation_about
 from gfp_grasp.types import Detection, Grasp, Outcome
 
 _NUM_GRASPS = 16
@@ -28,6 +30,7 @@ _FRAME_PX = (400, 300)
 _FRONT, _ELEVATION_RAD, _LOOK_AT_M = np.array([0.76, -0.65, 0.0]), np.deg2rad(20.0), 0.24
 _ALONE_M, _CLUTTER_M = 0.92, 1.0
 _UPRIGHT_JAWS = 0.3  # jaws that close with less than this along the level look the same from every side
+_FROM_THE_SIDE, _OBLIQUE_RAD, _UP = 0.5, np.deg2rad(55.0), np.array([0.0, 0.0, 1.0])
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,26 +73,69 @@ def attempt(stage: Stage, grasp: Grasp, target: str, *, film: bool = False) -> t
     """
     stage.restore()
     frames: list[np.ndarray] = []
-    commands = 0
-    width, height = _FRAME_PX
-    T_world_camera = _camera(grasp, alone=len(stage.names) == 1)
-
-    def watch(data: object) -> None:
-        nonlocal commands
-        if commands % _COMMANDS_A_FRAME == 0:
-            frames.append(shade(stage.model, data, width=width, height=height, T_world_camera=T_world_camera))
-        commands += 1
-
-    outcome = run_trial(stage.model, stage.data, grasp, target=target, on_step=watch if film else None)
+    if film:
+        outcome, frames = filmed_trial(stage.model, stage.data, grasp, target=target, alone=len(stage.names) == 1)
+    else:
+        outcome = run_trial(stage.model, stage.data, grasp, target=target)
     stage.restore()
     return outcome, frames
 
 
+def filmed_trial(
+    model: Any,
+    data: Any,
+    grasp: Grasp,
+    settings: TrialSettings | None = None,
+    *,
+    target: str,
+    alone: bool,
+    commands_a_frame: int = _COMMANDS_A_FRAME,
+) -> tuple[Outcome, list[np.ndarray]]:
+    """Run a trial as `gfp_grasp.envs.run_trial` does, and take pictures of it.
+
+    Args:
+        model: Scene with the gripper.
+        data: Its state, which is moved on.
+        grasp: World frame.
+        settings: Numbers of the attempt.
+        target: Name of the object.
+        alone: Whether nothing else stands on the table: the camera is nearer then.
+        commands_a_frame: Between two pictures.
+
+    Returns:
+        What happened, and frames (h, w, 3) uint8; the last one shows how it ended.
+    """
+    width, height = _FRAME_PX
+    T_world_camera = _camera(grasp, alone=alone)
+    frames: list[np.ndarray] = []
+    commands = 0
+
+    def shoot() -> None:
+        frames.append(shade(model, data, width=width, height=height, T_world_camera=T_world_camera))
+
+    def watch(_: object) -> None:
+        nonlocal commands
+        if commands % commands_a_frame == 0:
+            shoot()
+        commands += 1
+
+    outcome = run_trial(model, data, grasp, settings, target=target, on_step=watch)
+    shoot()
+    return outcome, frames
+
+
 def _camera(grasp: Grasp, *, alone: bool) -> np.ndarray:
-    """T_world_camera (4, 4) that looks across the closing axis, so that both jaws show."""
+    """T_world_camera (4, 4) that looks across the closing axis, so that both jaws show.
+
+    A gripper that comes from the side is looked at obliquely from behind, so that neither it nor the object is hidden.
+    """
     closing = grasp.T_world_gripper[:3, 1] * (1.0, 1.0, 0.0)
+    behind = -grasp.T_world_gripper[:3, 2] * (1.0, 1.0, 0.0)
     towards = _FRONT
-    if np.linalg.norm(closing) > _UPRIGHT_JAWS:
+    if np.linalg.norm(behind) > _FROM_THE_SIDE:
+        sides = [rotation_about(_UP, sign * _OBLIQUE_RAD) @ behind / np.linalg.norm(behind) for sign in (-1.0, 1.0)]
+        towards = max(sides, key=lambda side: float(side @ _FRONT))
+    elif np.linalg.norm(closing) > _UPRIGHT_JAWS:
         across = np.cross((0.0, 0.0, 1.0), closing / np.linalg.norm(closing))
         towards = across if across @ _FRONT > 0 else -across
     level, height = np.cos(_ELEVATION_RAD) * towards, np.array([0.0, 0.0, np.sin(_ELEVATION_RAD)])

@@ -11,6 +11,7 @@ from gfp_grasp.grasps.candidates import cast_closing_lines, poses_about
 from gfp_grasp.grasps.clearance import height_above, room_around
 from gfp_grasp.grasps.config import GraspConfig
 from gfp_grasp.grasps.contact import Contacts, find_contacts
+from gfp_grasp.grasps.sight import hidden_share
 from gfp_grasp.meshes import sample_surface
 from gfp_grasp.types import Detection, Grasp, SupportPlane
 
@@ -52,6 +53,8 @@ def plan_grasps(
     - room: 1/2 to 1 as the gap around the gripper grows to good_clearance_m;
     - approach: 1 from straight above, side_preference on the level;
     - seat: shortest lever against turning over good_lever_m, at most 1; a round lip between the pads lets a cup swing;
+    - sight: 1 with both jaws where the camera could see them, hidden_preference where the object hides them, but for
+      its own hollow; the back of a mug may have a handle;
     - depth: 1 with the closing line through the middle of the pads, tip_preference near their tips.
 
     Args:
@@ -83,6 +86,7 @@ def plan_grasps(
     opening = _opening(width, config)
     quality = _quality(T, opening, contacts, surface, support, config)
     quality *= np.where(at_tip, config.tip_preference, 1.0)
+    quality *= _sight(T, opening, completion, config)
     good = np.flatnonzero(quality > 0)
     best_first = good[np.argsort(-quality[good], kind="stable")]
     chosen = _distinct(T, best_first, num)
@@ -178,6 +182,14 @@ def _quality(
     roominess = np.where(room > config.least_room_m, 0.5 + 0.5 * np.clip(room / config.good_clearance_m, 0.0, 1.0), 0.0)
     seat = np.clip(contacts.lever_m / config.good_lever_m, 0.0, 1.0)
     return square * balance * contacts.realness * roominess * approach * seat
+
+
+def _sight(T: np.ndarray, opening: np.ndarray, completion: Graspable, config: GraspConfig) -> np.ndarray:
+    viewpoint = completion.detection.cloud.viewpoint
+    if viewpoint is None:
+        return np.ones(len(T))
+    hidden = hidden_share(T, opening, completion.mesh, viewpoint, config.gripper)
+    return 1.0 - (1.0 - config.hidden_preference) * hidden
 
 
 def _opening(width: np.ndarray, config: GraspConfig) -> np.ndarray:

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from typing import Protocol, cast
 
 from gfp_grasp.errors import InvalidOption
+from gfp_grasp.grasps.config import GraspConfig
 from gfp_grasp.grasps.plan import Graspable, plan_grasps
 from gfp_grasp.grasps.top_down import plan_top_down
 from gfp_grasp.plugins import imported_function
@@ -18,14 +20,21 @@ class Planner(Protocol):
     def __call__(self, completion: Graspable, num: int, *, seed: int) -> Sequence[Grasp]: ...
 
 
-PLANNERS: dict[str, Planner] = {"antipodal": plan_grasps, "top-down": plan_top_down}
+# To it a guessed surface is as good as one that was seen, and what is hidden is free.
+_TRUSTING = GraspConfig(doubt_length_m=float("inf"), hidden_preference=1.0)
+PLANNERS: dict[str, Planner] = {
+    "antipodal": plan_grasps,
+    "trusting": partial(plan_grasps, config=_TRUSTING),
+    "top-down": plan_top_down,
+}
 
 
 def planner(name: str) -> Planner:
     """A planner by name.
 
     Args:
-        name: `antipodal` (`plan_grasps`), `top-down` (`plan_top_down`), or `package.module:function`, a function like
+        name: `antipodal` (`plan_grasps`), `trusting` (the same, with no price on what was not seen), `top-down`
+            (`plan_top_down`), or `package.module:function`, a function like
             these two.
 
     Raises:

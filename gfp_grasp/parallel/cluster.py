@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeVar
 
 from gfp_grasp.errors import InvalidOption
-from gfp_grasp.parallel import ATTEMPTS, Lost, given_up
+from gfp_grasp.parallel.lost import ATTEMPTS, Lost, given_up
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")
@@ -30,21 +30,25 @@ def over_cluster(
         function: Of one job; importable by name on every node.
         jobs: Picklable.
         address: "auto" for the cluster that this machine belongs to, or host:port of its head.
-        lost: As `parallel.pmap` takes it.
+        lost: As `pmap` takes it.
 
     Raises:
         InvalidOption: Ray is not installed, or there is no cluster at that address.
         WorkerLost: A job's process died ATTEMPTS times, and no `lost` was given.
     """
     ours, ray = _connected(address)
-    remote = ray.remote(max_retries=ATTEMPTS - 1, num_cpus=1)(function)
+
+    @ray.remote(max_retries=ATTEMPTS - 1, num_cpus=1)
+    def run(job):  # a partial is no function to Ray
+        return function(job)
+
     room = max(1, int(_AHEAD * ray.cluster_resources().get("CPU", 1)))
     waiting, running = list(enumerate(jobs))[::-1], {}
     try:
         while waiting or running:
             while waiting and len(running) < room:
                 number, job = waiting.pop()
-                running[remote.remote(job)] = number
+                running[run.remote(job)] = number
             for done in ray.wait(list(running))[0]:
                 number = running.pop(done)
                 try:

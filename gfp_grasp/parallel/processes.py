@@ -1,0 +1,62 @@
+"""Jobs over processes of this machine."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
+from multiprocessing import get_context
+from typing import TypeVar
+
+from gfp_grasp.parallel.lost import ATTEMPTS, Lost, given_up
+
+Job = TypeVar("Job")
+Result = TypeVar("Result")
+
+
+def over_processes(
+    function: Callable[[Job], Result], jobs: Sequence[Job], workers: int, lost: Lost | None
+) -> Iterator[tuple[int, Result]]:
+    """Numbers and results of jobs as they come.
+
+    A process that dies under a job is replaced, and what it had not finished is done again.
+
+    Args:
+        function: Of one job; importable by name.
+        jobs: Picklable.
+        workers: Processes.
+        lost: As `pmap` takes it.
+
+    Raises:
+        WorkerLost: A job's process died ATTEMPTS times, and no `lost` was given.
+    """
+    waiting = dict(enumerate(jobs))
+    while waiting:
+        try:
+            for number, result in _pooled(function, waiting, workers):
+                del waiting[number]
+                yield number, result
+        except BrokenProcessPool:
+            # A pool takes jobs in their order, one more than it has processes. Any of these may be the death of it, and
+            # goes by itself, so that a bad one takes no other along.
+            for number in list(waiting)[: workers + 1]:
+                yield number, _alone(function, waiting.pop(number), lost)
+
+
+def _pooled(function: Callable[[Job], Result], jobs: Mapping[int, Job], workers: int) -> Iterator[tuple[int, Result]]:
+    # Spawned, not forked: torch and MuJoCo hold threads that a fork would leave dead.
+    pool = ProcessPoolExecutor(min(workers, len(jobs)), mp_context=get_context("spawn"))
+    try:
+        numbers = {pool.submit(function, job): number for number, job in jobs.items()}
+        for future in as_completed(numbers):
+            yield numbers.pop(future), future.result()
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _alone(function: Callable[[Job], Result], job: Job, lost: Lost | None) -> Result:
+    for _ in range(ATTEMPTS):
+        with suppress(BrokenProcessPool):
+            return next(_pooled(function, {0: job}, 1))[1]
+    return given_up(job, lost)

@@ -1,0 +1,86 @@
+"""A completion over the truth: one look from where the camera stood, one from aside, shaded by ray casting."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import trimesh
+
+from gfp_grasp.camera import intrinsics, render_mesh_view, surface_normals
+from gfp_grasp.transforms import look_at, rotation_about
+from gfp_grasp.types import DepthImage
+
+# Of the truth and of the completion: dark and light, so that the two are told apart in grey.
+_RGB = ((0.20, 0.38, 0.62), (0.98, 0.68, 0.26))
+_TABLE_RGB = (0.90, 0.91, 0.93)
+# Camera frame: the lamp goes along, over the left shoulder, so that both looks are equally bright.
+_LIGHT = np.array([-0.45, -0.6, -0.66]) / np.linalg.norm([-0.45, -0.6, -0.66])
+_PANEL_PX, _SUPERSAMPLE = 300, 2
+_FOV_DEG, _ELEVATION_RAD = 30.0, np.deg2rad(22.0)
+_MARGIN = 1.02  # of the sphere around both shapes
+_ASIDE_RAD = (0.0, np.deg2rad(100.0))
+_FARTHEST_M = 10.0
+# The nearer surface counts for so much of a pixel and takes over within this depth, so that agreement does not flicker.
+_NEARER, _AGREE_M = 0.72, 0.001
+
+
+def overlay(truth: trimesh.Trimesh, completed: trimesh.Trimesh | None, *, seen_from: np.ndarray) -> np.ndarray:
+    """Picture (h, 2 h, 3) uint8 of both, each translucent; where only one is, that one.
+
+    Args:
+        truth: World frame, z up, m, over a table at z = 0.
+        completed: The same; None shows the truth alone.
+        seen_from: (3,) m, where the camera stood: the left half looks from its side, the right from 100 degrees aside.
+    """
+    meshes = [truth] if completed is None else [truth, completed]
+    corners = np.concatenate([mesh.bounds for mesh in meshes])
+    centre = (corners.min(axis=0) + corners.max(axis=0)) / 2
+    radius_m = float(np.linalg.norm(corners.max(axis=0) - corners.min(axis=0))) / 2
+    distance_m = _MARGIN * radius_m / np.sin(np.deg2rad(_FOV_DEG) / 2)
+    level = (np.asarray(seen_from, dtype=np.float64) - centre) * (1.0, 1.0, 0.0)
+    towards = level / np.linalg.norm(level) if np.linalg.norm(level) > 1e-9 else np.array([1.0, 0.0, 0.0])
+    panels = []
+    for aside_rad in _ASIDE_RAD:
+        turned = rotation_about((0.0, 0.0, 1.0), aside_rad) @ towards
+        offset = np.cos(_ELEVATION_RAD) * turned + np.array([0.0, 0.0, np.sin(_ELEVATION_RAD)])
+        panels.append(_panel(meshes, look_at(centre + distance_m * offset, centre)))
+    return np.concatenate(panels, axis=1)
+
+
+def _panel(meshes: Sequence[trimesh.Trimesh], T_world_camera: np.ndarray) -> np.ndarray:
+    size = _SUPERSAMPLE * _PANEL_PX
+    K = intrinsics(size, size, _FOV_DEG)
+
+    def cast(seen: Sequence[trimesh.Trimesh], table_height: float | None = None) -> DepthImage:
+        view = {"T_world_camera": T_world_camera, "K": K, "width": size, "height": size}
+        return render_mesh_view(seen, **view, table_height=table_height, farthest_m=_FARTHEST_M)[0]
+
+    table_m = _depth(cast([], table_height=0.0))
+    colour = np.broadcast_to(np.array(_TABLE_RGB), (size, size, 3))
+    layers = []
+    for mesh, rgb in zip(meshes, _RGB, strict=False):
+        image = cast([mesh])
+        # What has sunk into the table is not seen, but for the thickness of a surface that lies on it.
+        depth_m = np.where(_depth(image) > table_m + _AGREE_M, np.inf, _depth(image))
+        layers.append((_shaded(image, rgb), depth_m))
+        colour = np.where(np.isfinite(depth_m)[..., None], layers[-1][0], colour)
+    if len(layers) == 2:
+        (first, first_m), (second, second_m) = layers
+        both = np.isfinite(first_m) & np.isfinite(second_m)
+        ahead_m = np.where(both, first_m, 0.0) - np.where(both, second_m, 0.0)
+        share = 0.5 + (_NEARER - 0.5) * np.tanh(ahead_m / _AGREE_M)[..., None]  # of the second
+        colour = np.where(both[..., None], share * second + (1 - share) * first, colour)
+    small = colour.reshape(_PANEL_PX, _SUPERSAMPLE, _PANEL_PX, _SUPERSAMPLE, 3).mean(axis=(1, 3))
+    return (255 * np.clip(small, 0.0, 1.0)).astype(np.uint8)
+
+
+def _depth(image: DepthImage) -> np.ndarray:
+    """(h, w) m, inf where nothing is seen."""
+    return np.where(image.depth_m > 0, image.depth_m, np.inf)
+
+
+def _shaded(image: DepthImage, rgb: tuple[float, float, float]) -> np.ndarray:
+    """Colour (h, w, 3) by the angle to the lamp, as `gfp_grasp.envs.picture` does it."""
+    facing = np.clip(np.nan_to_num(surface_normals(image) @ _LIGHT, nan=0.5), 0.0, 1.0)
+    return np.array(rgb) * (0.45 + 0.55 * facing)[..., None]

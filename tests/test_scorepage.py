@@ -1,0 +1,257 @@
+"""The page of a score: its links resolve, its drawings are true, its failures are made again as they were."""
+
+import re
+import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
+from inspect import signature
+
+import numpy as np
+import pytest
+import trimesh
+from PIL import Image
+
+import gfp_grasp.cli.scoring
+from gfp_grasp.demo.attempt import _camera
+from gfp_grasp.errors import CannotWrite, GfpGraspError, InvalidOption
+from gfp_grasp.grasps import plan_grasps
+from gfp_grasp.report import Report, Trial
+from gfp_grasp.score import score
+from gfp_grasp.scorepage import prepare_folder, write_score_page
+from gfp_grasp.scorepage.charts import _HATCHES, bracket_chart, reasons_chart
+from gfp_grasp.scorepage.failures import MOST, choose_failures
+from gfp_grasp.scorepage.overlay import overlay
+from gfp_grasp.scorepage.page import _command
+from gfp_grasp.scorepage.words import without_paths
+from gfp_grasp.transforms import make_T
+from gfp_grasp.types import REASONS, Grasp
+
+pytestmark = pytest.mark.filterwarnings("error")
+MISSING = "mirror/test_scorepage:grasps_the_air"
+HOSTILE = '<script>alert(1)<script>"&'
+
+
+def grasps_the_air(completion, num, *, seed):
+    """The best grasp, above the object."""
+    best = plan_grasps(completion, 1, seed=seed)[0]
+    return [Grasp(make_T(best.T_world_gripper[:3, :3], best.T_world_gripper[:3, 3] + (0, 0, 0.2)), best.width_m)]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Two objects that are convex, so that nothing waits for a decomposition."""
+    path = tmp_path_factory.mktemp("objects")
+    for name, radius_m in (("slim", 0.025), (HOSTILE, 0.034)):
+        mesh = trimesh.creation.cylinder(radius_m, 0.14, sections=32)
+        mesh.apply_translation((0, 0, 0.07))
+        mesh.export(path / f"bottle__{name}.ply")
+    return path
+
+
+@pytest.fixture(scope="module")
+def report(folder):
+    return score(folder, ("mirror", MISSING, "oracle"), views=1, seed=5)
+
+
+@pytest.fixture(scope="module")
+def made(folder, report, tmp_path_factory):
+    """The folder of the page, and its text."""
+    page = write_score_page(report, tmp_path_factory.mktemp("page") / "new" / "report", objects=folder)
+    return page.parent, page.read_text(encoding="utf-8")
+
+
+def test_every_link_of_the_page_resolves_and_none_leaves_its_folder(made):
+    directory, text = made
+    links = re.findall(r'(?:src|href)="(?!data:)([^"]*)"', text)
+    assert {"failure-1.png", "failure-1.gif", "failure-2.png", "failure-2.gif", "score.json"} == set(links)
+    assert all((directory / link).is_file() for link in links)
+    assert not re.findall(r"(?:https?:)?//[a-z0-9.-]+\.[a-z]{2,}", text)
+
+
+def test_the_figures_beside_the_page_are_those_of_the_report(made, report):
+    assert (made[0] / "score.json").read_text(encoding="utf-8") == report.to_json() + "\n"
+
+
+def test_failures_are_made_again_as_they_were_and_filmed(made, report):
+    directory, text = made
+    assert [trial.reason for trial in report.trials if trial.completer == MISSING] == ["no_contact"] * 2
+    assert text.count("<dt>reason</dt><dd>no contact</dd>") == 2
+    assert "made again" not in text.split('<section id="figures">')[0]
+    for number in (1, 2):
+        with Image.open(directory / f"failure-{number}.gif") as clip:
+            assert clip.n_frames > 10  # pyright: ignore[reportAttributeAccessIssue]
+        with Image.open(directory / f"failure-{number}.png") as picture:
+            assert picture.size == (600, 300)
+
+
+def test_names_cannot_break_out_of_the_page(made):
+    text = made[1]
+    assert "<script" not in text
+    assert "&lt;script&gt;alert(1)&lt;script&gt;&quot;&amp;" in text
+
+
+def test_the_page_holds_no_absolute_path_even_where_a_note_does(folder, report, tmp_path):
+    lost = [
+        replace(t, reason="no_grasp_found", quality=None, note=f"UnreadableFile: {folder}/slim.ply is none")
+        for t in report.trials
+        if t.completer == MISSING
+    ]
+    held = [trial for trial in report.trials if trial.completer == "oracle"]
+    page = write_score_page(Report(report.settings, (*lost, *held)), tmp_path, objects=folder)
+    text = page.read_text(encoding="utf-8")
+    assert "UnreadableFile: slim.ply is none" in text
+    assert str(folder.parent) not in text
+    (command,) = re.findall(r"gfp-grasp score [^<]*", text)
+    assert f" --objects {folder.name} " in command
+    assert {word[2:] for word in command.split() if word.startswith("--")} - {"report"} <= options()
+    assert not list(tmp_path.glob("*.gif"))
+
+
+def test_the_command_counts_objects_that_were_left_out(report):
+    settings = {**report.settings, "num_objects": 5, "ungraspable": ["jug", "vat"], "classes": ["", "jug"]}
+    assert " --limit 7 --classes ,jug --report out" in _command(settings, "out")
+
+
+@pytest.mark.parametrize(
+    ("words", "left"),
+    [
+        ("/a/b/c.ply is none", "c.ply is none"),
+        ("in '/a/b': 3/4 m/s, gfpnet/top-down", "in 'b': 3/4 m/s, gfpnet/top-down"),
+        (r"C:\users\me\mug.obj", "mug.obj"),
+        ("cup / mug", "cup / mug"),
+    ],
+)
+def test_folders_are_taken_out_of_absolute_paths_alone(words, left):
+    assert without_paths(words) == left
+
+
+def test_a_report_without_failures_gives_a_page_that_says_so(report, tmp_path):
+    held = tuple(trial for trial in report.trials if trial.success)
+    assert {trial.completer for trial in held} >= {"oracle"}
+    page = write_score_page(Report(report.settings, held), tmp_path, objects="nothing is loaded")
+    assert "No row failed where the oracle held." in page.read_text(encoding="utf-8")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["index.html", "score.json"]
+
+
+def test_a_folder_that_cannot_be_written_is_refused_by_name(folder, report, tmp_path):
+    (tmp_path / "taken").write_text("a file")
+    for act in (prepare_folder, lambda place: write_score_page(report, place, objects=folder)):
+        with pytest.raises(CannotWrite, match="taken") as caught:
+            act(tmp_path / "taken")
+        assert isinstance(caught.value, GfpGraspError)
+
+
+def test_objects_that_were_not_scored_are_refused(report, tmp_path):
+    with pytest.raises(InvalidOption, match="slim"):
+        write_score_page(report, tmp_path, objects="cup")
+
+
+def options():
+    """Of the command, by name."""
+    return set(signature(gfp_grasp.cli.scoring.score).parameters)
+
+
+def trial(row: str, name: str, view: int, *, success: bool = False, cd_m: float | None = 0.01, note: str = "") -> Trial:
+    reason = "held" if success else "no_contact"
+    return Trial(
+        object=name,
+        category="",
+        completer=row,
+        view=view,
+        episode_seed=0,
+        success=success,
+        reason=reason,
+        lift_m=0.0,
+        slip_m=0.0,
+        falls_free=success,
+        mass_kg=0.1,
+        friction=0.5,
+        grip_n=30.0,
+        completed_success=True,
+        completed_reason="held",
+        quality=1.0,
+        width_m=0.05,
+        cd_m=cd_m,
+        f_score=None,
+        note=note,
+        timings_s={},
+    )
+
+
+def test_failures_are_chosen_where_the_oracle_held_largest_error_first_and_two_of_an_object():
+    oracle = [trial("oracle", name, view, success=(name, view) != ("b", 0)) for name in "abc" for view in range(3)]
+    worse = [trial("worse", "a", view, cd_m=0.01 * (view + 1)) for view in range(3)]
+    worse += [trial("worse", "b", 0, cd_m=0.9), trial("worse", "b", 1, cd_m=None)]
+    better = [trial("better", "c", 0), trial("better", "c", 1, success=True)]
+    lost = [trial("better", "c", 2, note="WorkerLost: it died")]
+    chosen = choose_failures(Report({}, (*oracle, *worse, *better, *lost)))
+    assert [(t.completer, t.object, t.view) for t in chosen] == [
+        ("better", "c", 0),
+        ("worse", "a", 2),
+        ("worse", "a", 1),
+        ("worse", "b", 1),
+    ]
+
+
+def test_without_an_oracle_any_failure_may_be_shown_up_to_the_most():
+    trials = [trial("mirror", str(number), 0) for number in range(MOST + 3)]
+    assert len(choose_failures(Report({}, tuple(trials)))) == MOST
+
+
+def test_the_charts_stand_where_the_figures_are():
+    rows = {
+        name: [trial(name, "a", view, success=view < held) for view in range(4)]
+        for name, held in (("observed", 1), ("<own>", 2), ("oracle", 4))
+    }
+    summaries = Report({}, tuple(t for trials in rows.values() for t in trials)).completers()
+    chart = ElementTree.fromstring(bracket_chart(summaries))
+    at = [float(circle.get("cx", "")) for circle in chart.iterfind("g[@class='true']/circle")]
+    zero, one = 10.0, 410.0
+    np.testing.assert_allclose(at, [zero + (one - zero) * share for share in (0.25, 0.5, 1.0)])
+    lines = [path.get("d", "").split(",")[0] for path in chart.iterfind("path[@class='bracket']")]
+    assert lines == ["M410.0", "M110.0"]
+    assert "<own>" in [text.text for text in chart.iterfind("text")]
+    bars = ElementTree.fromstring(reasons_chart(summaries)).findall("rect")
+    widths = [float(bar.get("width", "")) for bar in bars]
+    np.testing.assert_allclose(widths, [115, 345, 230, 230, 460])
+
+
+def test_every_reason_has_a_hatch_of_its_own():
+    assert tuple(_HATCHES) == REASONS
+    assert len({(strokes, colour) for colour, strokes, _ in _HATCHES.values()}) == len(REASONS)
+
+
+def test_the_overlay_shows_what_is_missing_dark_and_what_is_too_much_light():
+    truth = trimesh.creation.box(bounds=((-0.03, -0.03, 0.0), (0.03, 0.03, 0.10)))
+    tall = trimesh.creation.box(bounds=((-0.03, -0.03, 0.0), (0.03, 0.03, 0.14)))
+    for shapes, dark_on_top in (((tall, truth), True), ((truth, tall), False)):
+        picture = overlay(*shapes, seen_from=np.array([0.5, 0.0, 0.4])).astype(int)
+        assert picture.shape == (300, 600, 3)
+        for panel in (picture[:, :300], picture[:, 300:]):
+            blue = panel[..., 2] - panel[..., 0]
+            top = blue[np.abs(blue).max(axis=1) > 30][:40]  # the first rows of what is coloured
+            assert (top.max() > 60) if dark_on_top else (top.min() < -60)
+
+
+def test_shapes_that_agree_are_mixed_and_the_truth_alone_is_drawn_where_nothing_was_completed():
+    ball = trimesh.creation.icosphere(radius=0.05)
+    ball.apply_translation((0, 0, 0.05))
+    alone = overlay(ball, None, seen_from=np.array([0.5, 0.0, 0.4])).astype(int)
+    both = overlay(ball, ball, seen_from=np.array([0.5, 0.0, 0.4])).astype(int)
+    assert alone[150, 150, 2] > alone[150, 150, 0] + 40
+    np.testing.assert_allclose(both[150, 150, 0] - alone[150, 150, 0], 0.39 * 255 * _brightness(alone), atol=12)
+
+
+def _brightness(picture: np.ndarray) -> float:
+    """Of the middle pixel, whose colour is known but for it."""
+    return float(picture[150, 150, 2] / (0.62 * 255))
+
+
+@pytest.mark.parametrize("yaw_deg", range(0, 360, 45))
+def test_a_gripper_that_comes_from_the_side_hides_nothing(yaw_deg):
+    yaw = np.radians(yaw_deg)
+    approach = np.array([np.cos(yaw), np.sin(yaw), 0.0])
+    closing = np.array([-approach[1], approach[0], 0.0])
+    T = make_T(np.column_stack([np.cross(closing, approach), closing, approach]), (0, 0, 0.1))
+    camera = _camera(Grasp(T, 0.06), alone=True)
+    sight = camera[:3, 2] * (1, 1, 0) / np.linalg.norm(camera[:2, 2])
+    assert sight @ approach == pytest.approx(np.cos(np.deg2rad(55)), abs=1e-6)
