@@ -36,6 +36,7 @@ class AttemptJob:
         row: Name of the completer, and behind a slash the planner's, if it is not `antipodal`.
         view: Number of the view.
         seed: Of the whole score.
+        clutter: So many other objects stand around it.
         grasps: So many of the best are attempted until one holds.
     """
 
@@ -46,6 +47,7 @@ class AttemptJob:
     row: str
     view: int
     seed: int
+    clutter: int
     grasps: int
 
     @property
@@ -67,15 +69,17 @@ def row_names(row: str) -> tuple[str, str]:
 
 
 @lru_cache(maxsize=16)
-def _env(objects: str, split: str, completer_name: str, world: str) -> GfpGraspEnv:
+def _env(objects: str, split: str, clutter: int, completer_name: str, world: str) -> GfpGraspEnv:
     """One environment a process and completer, so that scenes are compiled once."""
-    return GfpGraspEnv(objects=objects, split=split, completer=completer_name, world=world)
+    env = GfpGraspEnv(objects=objects, split=split, clutter=clutter, completer=completer_name, world=world)
+    env.kept_worlds = 1 + clutter  # a score goes object by object
+    return env
 
 
 def attempt(job: AttemptJob) -> Trial:
     """Make an attempt from its seeds: the same job gives the same trial, but for its timings."""
     started = time.perf_counter()
-    env = _env(job.objects, job.split, job.completer, "true")
+    env = _env(job.objects, job.split, job.clutter, job.completer, "true")
     _, info = env.reset(seed=job.episode_seed, options={"object": job.number})
     completed_at = time.perf_counter()
     found, note = (), str(info["completion_error"])
@@ -153,7 +157,7 @@ def _in_both_worlds(
         return nothing, nothing
     action = env.action_code.encode(grasp)
     true_info = env.step(action)[4]
-    other = _env(job.objects, job.split, job.completer, "completed")
+    other = _env(job.objects, job.split, job.clutter, job.completer, "completed")
     other.reset(seed=job.episode_seed, options={"object": job.number, "completion": env.completion})
     return true_info, other.step(action)[4]
 

@@ -98,6 +98,19 @@ class Report:
         names = dict.fromkeys(trial.completer for trial in self.trials)
         return {name: _summary([trial for trial in self.trials if trial.completer == name]) for name in names}
 
+    def classes(self) -> dict[str, dict[str, dict[str, Any]]]:
+        """Success on the true objects by class and row, {class: {row: {"attempts", "successes", ...}}}."""
+        found: dict[str, dict[str, dict[str, Any]]] = {}
+        for category in sorted({trial.category for trial in self.trials}):
+            mine = [trial for trial in self.trials if trial.category == category]
+            rows = dict.fromkeys(trial.completer for trial in mine)
+            of_row = {row: [trial for trial in mine if trial.completer == row] for row in rows}
+            found[category] = {
+                row: _rates([t.reason for t in trials], sum(t.success for t in trials))
+                for row, trials in of_row.items()
+            }
+        return found
+
     def paired(self) -> dict[str, dict[str, dict[str, Any]]]:
         """Every row beside those that bracket it, and beside other planners' of its completer, on the same views.
 
@@ -120,10 +133,11 @@ class Report:
         return [_row(name, summary) for name, summary in self.completers().items()]
 
     def to_json(self) -> str:
-        """`{"settings", "completers", "paired", "trials"}`; equal runs differ in `timings_s` alone."""
+        """`{"settings", "completers", "classes", "paired", "trials"}`; equal runs differ in `timings_s` alone."""
         content = {
             "settings": dict(self.settings),
             "completers": self.completers(),
+            "classes": self.classes(),
             "paired": self.paired(),
             "trials": [asdict(trial) for trial in self.trials],
         }

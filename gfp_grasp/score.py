@@ -34,6 +34,7 @@ def score(
     grasps: int = 5,
     seed: int = 0,
     split: str = "test",
+    clutter: int = 0,
     limit: int | None = None,
     classes: Sequence[str] | None = None,
     workers: int = 1,
@@ -57,6 +58,7 @@ def score(
         grasps: So many of the best are attempted until one holds; the first alone is the score.
         seed: Of poses, views, noise and planning.
         split: Which seeds of a family.
+        clutter: So many other objects, of the same choice, stand around each.
         limit: At most so many objects.
         classes: Keep objects of these classes; None keeps those that have a primitive and those whose class is not
             known, ("*",) keeps all.
@@ -76,6 +78,8 @@ def score(
     for count, what in ((views, "views"), (grasps, "grasps"), (1 if limit is None else limit, "limit")):
         if count < 1:
             raise InvalidOption(f"{what} is {count}; at least 1 is expected")
+    if clutter < 0:
+        raise InvalidOption(f"clutter is {clutter}; zero or more is expected")
     if not completers or len(set(completers)) < len(completers):
         raise InvalidOption(f"completers are {tuple(completers)}; at least one is expected, and each but once")
     for row in completers:
@@ -90,7 +94,7 @@ def score(
     if not kept:
         raise InvalidOption(f"the gripper cannot take hold of any of {', '.join(ungraspable)}: are they in metres?")
     jobs = [
-        AttemptJob(str(objects), split, number, source_name, row, view, seed, grasps)
+        AttemptJob(str(objects), split, number, source_name, row, view, seed, clutter, grasps)
         for number, source_name in kept
         for view in range(views)
         for row in completers
@@ -103,6 +107,7 @@ def score(
         "classes": sorted(_classes(classes)),
         "completers": list(completers),
         "views": int(views),
+        "clutter": int(clutter),
         "grasps": int(grasps),
         "seed": int(seed),
         "trial": asdict(TrialSettings()),

@@ -123,6 +123,33 @@ def test_mass_friction_and_grip_are_drawn_from_the_seed_within_their_ranges(make
     assert body.mass[0] == pytest.approx(infos[2]["mass_kg"])
 
 
+def test_among_clutter_the_object_that_was_asked_for_is_seen_completed_and_grasped(make):
+    env = make(clutter=2, completer="oracle")
+    infos = []
+    for seed in (0, 0):
+        env.reset(seed=seed, options={"object": 1})
+        infos.append(env.step(best_action(env))[4])
+    assert infos[0] == infos[1]
+    assert infos[0]["object"] == "wide"
+    assert infos[0]["reason"] == "held"
+    bodies = {env.world.model.body(i).name for i in range(env.world.model.nbody)}
+    assert {"object", "clutter_0", "clutter_1"} <= bodies
+    truth, seen = env.episode.T_world_object[:2, 3], env.episode.detection.cloud.points[:, :2]
+    assert np.linalg.norm(seen - truth, axis=1).max() < 0.05
+    alone = make(completer="oracle")
+    alone.reset(seed=0, options={"object": 1})
+    assert "clutter_0" not in {alone.world.model.body(i).name for i in range(alone.world.model.nbody)}
+
+
+def test_a_grasp_keeps_clear_of_what_stands_beside_the_object(make):
+    env = make(clutter=1, completer="oracle", world="completed")
+    env.reset(seed=3)
+    neighbour = env.world.model.body("clutter_0")
+    for grasp in plan_grasps(env.completion, 4):
+        reach = grasp.T_world_gripper[:2, 3] + np.outer([-0.5, 0.5], grasp.T_world_gripper[:2, 1]) * grasp.width_m
+        assert np.linalg.norm(reach - neighbour.pos[:2], axis=1).min() > 0.02
+
+
 def test_info_is_flat_and_has_the_same_keys_after_reset_and_step(make):
     env = make()
     _, at_reset = env.reset(seed=0)

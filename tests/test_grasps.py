@@ -11,6 +11,7 @@ from gfp_grasp.errors import InvalidOption
 from gfp_grasp.grasps import GraspConfig, Gripper, plan_grasps, plan_top_down, planner
 from gfp_grasp.grasps.clearance import height_above, room_around
 from gfp_grasp.grasps.contact import find_contacts
+from gfp_grasp.grasps.sight import hidden_share
 from gfp_grasp.meshes import load_mesh, sample_surface
 from gfp_grasp.transforms import apply_T, make_T, rotation_about
 from gfp_grasp.types import Detection, OrientedBox, PointCloud, SupportPlane
@@ -65,6 +66,23 @@ def test_a_cylinder_is_pinched_across_its_axis():
         assert abs(T[2, 1]) < 0.2  # the closing axis is level
         assert abs(np.cross(T[:3, 3], T[:3, 1])[2]) < 0.006  # and crosses the cylinder's
         assert 0.060 < grasp.width_m <= 0.080
+
+
+def test_jaws_behind_the_object_are_hidden_and_those_beside_it_are_not():
+    mesh, viewpoint = cylinder(), np.array([0.6, 0.0, 0.06])
+    R = np.column_stack([(0.0, 1.0, 0), (1.0, 0, 0), (0, 0, -1.0)])  # straight down, jaws along x
+    beside = np.column_stack([(1.0, 0, 0), (0, -1.0, 0), (0, 0, -1.0)])  # along y
+    T = np.stack([make_T(R, (0, 0, 0.08)), make_T(beside, (0, 0, 0.08)), make_T(beside, (0.2, 0, 0.08))])
+    hidden = hidden_share(T, np.full(3, 0.07), mesh, viewpoint, Gripper())
+    assert 0.25 < hidden[0] <= 0.5  # one jaw of two, but for what looks out above
+    assert hidden[1] < 0.1
+    assert hidden[2] == 0
+
+
+def test_what_is_hidden_in_the_hollow_of_a_cup_costs_nothing():
+    R = np.column_stack([(0.0, 1.0, 0), (1.0, 0, 0), (0, 0, -1.0)])
+    inside = make_T(R, (0, 0, 0.06))
+    assert hidden_share(inside[None], np.array([0.04]), cup(), np.array([0.3, 0, 0.6]), Gripper())[0] == 0
 
 
 def test_a_cup_too_wide_for_the_jaws_is_pinched_by_its_wall():

@@ -27,6 +27,8 @@ HEAVY = {
     "coacd": ("collision.",),
     "vhacdx": ("collision.",),
     "mujoco": ("scenes", "camera.render", "envs.", "bench.hostile"),
+    "ray": ("parallel.cluster",),
+    "viser": ("view.",),
 }
 MODULES = sorted(PACKAGE.rglob("*.py"))
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from gfp_grasp.envs.grasp_env import GfpGraspEnv
-from gfp_grasp.envs.pace import TimedStep
+from gfp_grasp.envs.pace import TimedStep, fetch_steps_per_s
 from gfp_grasp.envs.settings import TrialSettings
 from gfp_grasp.envs.trial import run_trial
 from gfp_grasp.envs.world import TARGET, World
@@ -48,7 +48,9 @@ def bench_trial(
     Returns:
         {"settings", "attempts", "held": successes at each share of the step, "agreement": share of the attempts whose
         success at half the step is that at the whole one, and at a quarter that at half, "differing": those that do
-        not, "attempts_per_s" a core, "share_in_mj_step": of an attempt's time, median, "trials": every attempt's}.
+        not, "attempts_per_s" a core, "share_in_mj_step": of an attempt's time, median, "steps_per_s": physics steps a
+        second of whole attempts, and of FetchPickAndPlace-v4 in the same run where gymnasium-robotics is installed,
+        "trials": every attempt's}.
     """
     if limit < 1 or grasps < 1:
         raise InvalidOption(f"limit is {limit} and grasps {grasps}; at least 1 of each is expected")
@@ -65,6 +67,10 @@ def bench_trial(
         "differing": [t for t, agree in zip(found, same.all(axis=1), strict=True) if not agree],
         "attempts_per_s": round(len(found) / max(sum(t["seconds"] for t in found), 1e-9), 2),
         "share_in_mj_step": round(float(np.median([t["share"] for t in found])), 4) if found else None,
+        "steps_per_s": {
+            "GfpGrasp-v0": round(sum(t["steps"] for t in found) / max(sum(t["seconds"] for t in found), 1e-9), 1),
+            "FetchPickAndPlace-v4": fetch_steps_per_s(),
+        },
         "trials": found,
     }
 
@@ -83,7 +89,7 @@ def _trials(number: int, *, objects: str, limit: int, grasps: int, seed: int) ->
 
 def _at_all_steps(world: World, grasp: Grasp, settings: TrialSettings) -> dict[str, Any]:
     whole = world.model.opt.timestep
-    held, reasons, seconds, share = [], [], 0.0, 0.0
+    held, reasons, seconds, share, steps = [], [], 0.0, 0.0, 0
     for part in _STEPS:
         world.model.opt.timestep = whole / part
         world.restore()
@@ -92,8 +98,8 @@ def _at_all_steps(world: World, grasp: Grasp, settings: TrialSettings) -> dict[s
         outcome = run_trial(world.model, world.data, grasp, settings, target=TARGET, stepper=timer)
         if part == 1:
             seconds = time.perf_counter() - start
-            share = timer.seconds / seconds
+            share, steps = timer.seconds / seconds, timer.steps
         held.append(outcome.success)
         reasons.append(outcome.reason)
     world.model.opt.timestep = whole
-    return {"held": held, "reasons": reasons, "seconds": round(seconds, 4), "share": round(share, 4)}
+    return {"held": held, "reasons": reasons, "seconds": round(seconds, 4), "share": round(share, 4), "steps": steps}

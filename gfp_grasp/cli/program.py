@@ -15,6 +15,7 @@ from gfp_grasp.cli.primitives import gps
 from gfp_grasp.cli.scoring import score
 from gfp_grasp.cli.terminal import say_error
 from gfp_grasp.cli.training import train
+from gfp_grasp.cli.viewing import view
 from gfp_grasp.errors import GfpGraspError
 
 _STOPPED = 130
@@ -29,7 +30,7 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
-for command in (demo, complete, decompose, score):
+for command in (demo, complete, decompose, score, view):
     app.command()(command)
 for group in (gps, train, bench):
     app.add_typer(group)

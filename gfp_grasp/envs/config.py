@@ -25,6 +25,7 @@ class EnvConfig:
         world: "true" simulates the true object, "completed" the completion's convex parts in its place.
         split: Which seeds of a family: train, val or test.
         limit: Use the first so many objects; 0 uses all.
+        clutter: So many other objects stand around the one to be grasped.
         num_points: Rows of both clouds in the observation.
         image_width: Columns of the depth picture.
         image_height: Rows.
@@ -39,7 +40,7 @@ class EnvConfig:
         friction_max: Highest: rubber on dry stoneware.
         grip_min_n: Weakest force limit of the jaws.
         grip_max_n: Strongest.
-        spread_m: The object stands within this of the table's centre, along x and along y.
+        spread_m: Without clutter, the object stands within this of the table's centre, along x and along y.
         render_mode: None or "rgb_array".
     """
 
@@ -48,6 +49,7 @@ class EnvConfig:
     world: str = "true"
     split: str = "test"
     limit: int = 0
+    clutter: int = 0
     num_points: int = 2048
     image_width: int = 320
     image_height: int = 240
@@ -75,7 +77,7 @@ class EnvConfig:
         for name in ("num_points", "image_width", "image_height", "fov_deg", "distance_m"):
             if not getattr(self, name) > 0:
                 raise InvalidOption(f"{name} is {getattr(self, name)}; a positive number is expected")
-        for name in ("limit", "noise_m", "spread_m", "mass_spread"):
+        for name in ("limit", "clutter", "noise_m", "spread_m", "mass_spread"):
             if not getattr(self, name) >= 0:
                 raise InvalidOption(f"{name} is {getattr(self, name)}; zero or more is expected")
         if self.fov_deg >= 180:

@@ -20,6 +20,7 @@ from gfp_grasp.types import CollisionMesh, ConvexPart, DepthImage, Detection, Tr
 _UP = np.array([0.0, 0.0, 1.0])
 # The camera looks at this share of the object's height.
 _LOOK_AT = 0.4
+_ABOVE_M = 5e-4  # it is put down from so high
 
 
 @dataclass(frozen=True)
@@ -79,6 +80,7 @@ def draw_episode(
     config: EnvConfig,
     rng: np.random.Generator,
     *,
+    T_start: np.ndarray | None = None,
     given: Completion | None = None,
 ) -> Episode:
     """Put the object down at random, look at it from a random side, and complete it.
@@ -89,15 +91,17 @@ def draw_episode(
         complete: The completer.
         config: Camera and placing.
         rng: Draws the load, yaw, place, view and noise, in this order.
+        T_start: Where to put it down instead.
         given: A completion to use in place of the completer's.
     """
     load = Load.drawn(truth, config, rng)
     world.set_load(load.mass_kg, load.friction)
-    yaw = rotation_about(_UP, rng.uniform(0, 2 * np.pi))
-    place = np.array([*rng.uniform(-config.spread_m, config.spread_m, 2), 5e-4])
-    world.settle(make_T(yaw, place))
+    if T_start is None:
+        yaw = rotation_about(_UP, rng.uniform(0, 2 * np.pi))
+        T_start = make_T(yaw, [*rng.uniform(-config.spread_m, config.spread_m, 2), _ABOVE_M])
+    world.settle(T_start)
     target = world.T_world_object[:3, 3] + (0.0, 0.0, _LOOK_AT * float(truth.mesh.bounds[1, 2]))
-    image = _look(world, target, config, rng)
+    image, of_target = _look(world, target, config, rng)
     if given is not None:
         return Episode(truth, load, world.T_world_object, image, given.detection, given)
     detect = DetectConfig(classify=needs_class(config.completer))
@@ -105,7 +109,7 @@ def draw_episode(
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
-            detection = _largest(detect_objects(image, up=_UP, config=detect))
+            detection = _of_target(detect_objects(image, up=_UP, config=detect), of_target)
             completion = _complete(complete, detection, truth, world.T_world_object)
         except AssetMissing:  # says nothing of the object: the installation is broken
             raise
@@ -115,7 +119,10 @@ def draw_episode(
     return Episode(truth, load, world.T_world_object, image, detection, completion, failure, notes)
 
 
-def _look(world: World, target: np.ndarray, config: EnvConfig, rng: np.random.Generator) -> DepthImage:
+def _look(
+    world: World, target: np.ndarray, config: EnvConfig, rng: np.random.Generator
+) -> tuple[DepthImage, np.ndarray]:
+    """The depth picture, and which of its pixels are the object."""
     T_world_camera = sample_viewpoint(
         rng,
         elevation_deg=(config.elevation_min_deg, config.elevation_max_deg),
@@ -124,7 +131,7 @@ def _look(world: World, target: np.ndarray, config: EnvConfig, rng: np.random.Ge
     )
     K = intrinsics(config.image_width, config.image_height, config.fov_deg)
     # Rays, not OpenGL, so that one seed gives one picture on every machine.
-    depth, _ = render_depth(
+    depth, geom = render_depth(
         world.model,
         world.data,
         K=K,
@@ -133,13 +140,16 @@ def _look(world: World, target: np.ndarray, config: EnvConfig, rng: np.random.Ge
         T_world_camera=T_world_camera,
         backend="rays",
     )
-    return apply_sensor(DepthImage(depth, K, T_world_camera), config.sensor_model, rng)
+    image = apply_sensor(DepthImage(depth, K, T_world_camera), config.sensor_model, rng)
+    return image, world.shows_target(geom)
 
 
-def _largest(detections: tuple[Detection, ...]) -> Detection:
-    if not detections:
-        raise NothingDetected("nothing stands out from the table in this view")
-    return max(detections, key=lambda detection: len(detection.cloud.points))
+def _of_target(detections: tuple[Detection, ...], of_target: np.ndarray) -> Detection:
+    """The detection with most pixels of the object: what is asked for has been pointed at."""
+    shared = [0 if d.mask is None else int((d.mask & of_target).sum()) for d in detections]
+    if not any(shared):
+        raise NothingDetected("nothing of the object stands out from the table in this view")
+    return detections[int(np.argmax(shared))]
 
 
 def _complete(complete: Completer, detection: Detection, truth: TrueObject, T_world_object: np.ndarray) -> Completion:

@@ -16,22 +16,23 @@ from gfp_grasp.completers import completer
 from gfp_grasp.envs.action import NUM_ACTION, ActionCode
 from gfp_grasp.envs.config import EnvConfig
 from gfp_grasp.envs.episode import Episode, draw_episode
+from gfp_grasp.envs.memory import give_back_memory
 from gfp_grasp.envs.observation import Observation, observation_space, observe
 from gfp_grasp.envs.picture import shade
 from gfp_grasp.envs.settings import TrialSettings
 from gfp_grasp.envs.trial import run_trial
 from gfp_grasp.envs.world import TARGET, World
 from gfp_grasp.errors import GfpGraspError, InvalidOption
-from gfp_grasp.scenes import load_objects
+from gfp_grasp.scenes import SceneObject, load_objects, place_clutter
 from gfp_grasp.types import Outcome, TrueObject
 
-# Compiled scenes are kept for this many objects, at up to 10 MB each; making one anew takes 0.2 s.
-_KEPT_WORLDS = 16
+# Memory is given back after so many episodes, which leave up to 1 MB each; it takes 2 % of their time.
+_GIVE_BACK_EVERY = 32
 _RESET_OPTIONS = ("object", "completion")
 
 
 class GfpGraspEnv(gymnasium.Env[Observation, np.ndarray], EzPickle):
-    """One object on a table, one depth view of it, one grasp.
+    """One object on a table, alone or among clutter, one depth view of it, one grasp.
 
     An episode is one step: the action is a grasp, which is approached, closed, lifted and shaken
     (`gfp_grasp.envs.settings.TrialSettings` has every number of it). The reward is 1 where the object is held to the
@@ -98,6 +99,8 @@ class GfpGraspEnv(gymnasium.Env[Observation, np.ndarray], EzPickle):
         self.render_mode = self.config.render_mode
         self.action_code = ActionCode()
         self.settings = TrialSettings()
+        # Compiled scenes are kept for this many objects, at up to 10 MB each; making one anew takes 0.2 s.
+        self.kept_worlds = 16
         self.action_space = spaces.Box(-1.0, 1.0, (NUM_ACTION,), np.float32)
         self.observation_space = observation_space(self.config)  # pyright: ignore[reportAttributeAccessIssue]
         self.sources = load_objects(self.config.objects, self.config.split, self.config.limit or None)
@@ -106,6 +109,7 @@ class GfpGraspEnv(gymnasium.Env[Observation, np.ndarray], EzPickle):
         self._episode: Episode | None = None
         self._observation: Observation | None = None
         self._world: World | None = None
+        self._num_resets = 0
 
     @property
     def episode(self) -> Episode:
@@ -133,10 +137,15 @@ class GfpGraspEnv(gymnasium.Env[Observation, np.ndarray], EzPickle):
     ) -> tuple[Observation, dict[str, Any]]:
         """Draw an object, its place and a view; detect and complete it."""
         super().reset(seed=seed)
+        self._num_resets += 1
+        if self._num_resets % _GIVE_BACK_EVERY == 0:
+            give_back_memory()
         number, given = self._chosen(options)
-        truth, world = self._true_world(number)
-        self._episode = draw_episode(truth, world, self._complete, self.config, self.np_random, given=given)
-        self._episode, self._world = self._world_of(self._episode, world)
+        truth, world, T_start, others = self._scene(number)
+        self._episode = draw_episode(
+            truth, world, self._complete, self.config, self.np_random, T_start=T_start, given=given
+        )
+        self._episode, self._world = self._world_of(self._episode, world, others)
         self._observation = observe(self._episode, self.config, self.np_random)
         return _copy(self._observation), self._info(None)
 
@@ -186,6 +195,22 @@ class GfpGraspEnv(gymnasium.Env[Observation, np.ndarray], EzPickle):
             raise InvalidOption(f"completion is a {type(given).__name__}; a Completion or None is expected")
         return int(number), given
 
+    def _scene(self, number: int) -> tuple[TrueObject, World, np.ndarray | None, tuple[SceneObject, ...]]:
+        """The object, its world, where it is to be put down if that is drawn already, and what stands around it."""
+        truth, world = self._true_world(number)
+        if not self.config.clutter:
+            return truth, world, None, ()
+        drawn = self.np_random.integers(len(self.sources), size=self.config.clutter)
+        around = [self._true_world(int(other))[0] for other in drawn]
+        T_start, *places = place_clutter([truth, *around], self.np_random)
+        # They are stuck to the table: hundreds of contacts of things at rest would take most of the time, and whatever
+        # touches them has failed in any case.
+        others = tuple(
+            replace(SceneObject.of(thing, T, name=f"clutter_{i}"), fixed=True)
+            for i, (thing, T) in enumerate(zip(around, places, strict=True))
+        )
+        return truth, World.of_truth(truth, T_start, others), T_start, others
+
     def _true_world(self, number: int) -> tuple[TrueObject, World]:
         if number not in self._truths:
             source = self.sources[number]
@@ -195,12 +220,14 @@ class GfpGraspEnv(gymnasium.Env[Observation, np.ndarray], EzPickle):
             except GfpGraspError as error:
                 advice = f"repair it or take it out of {self.config.objects!r}"
                 raise type(error)(f"object {source.name!r} cannot be simulated, {advice}: {error}") from error
-            if len(self._truths) > _KEPT_WORLDS:
+            if len(self._truths) > self.kept_worlds:
                 self._truths.popitem(last=False)
         self._truths.move_to_end(number)
         return self._truths[number]
 
-    def _world_of(self, episode: Episode, true_world: World) -> tuple[Episode, World | None]:
+    def _world_of(
+        self, episode: Episode, true_world: World, others: tuple[SceneObject, ...]
+    ) -> tuple[Episode, World | None]:
         """The world that attempts run in, None where there is none to be had; the episode says why."""
         if self.config.world == "true":
             return episode, true_world
@@ -208,7 +235,7 @@ class GfpGraspEnv(gymnasium.Env[Observation, np.ndarray], EzPickle):
             return episode, None
         try:
             parts = episode.completion.collision.parts
-            return episode, World.of_parts(parts, episode.load.mass_kg, episode.load.friction)
+            return episode, World.of_parts(parts, episode.load.mass_kg, episode.load.friction, others)
         except GfpGraspError as error:  # no parts of it, or none that MuJoCo takes
             return replace(episode, failure=f"{type(error).__name__}: {error}"), None
 

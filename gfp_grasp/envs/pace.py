@@ -5,7 +5,9 @@
 
 from __future__ import annotations
 
+import importlib.util
 import time
+from types import SimpleNamespace
 
 import mujoco
 
@@ -34,17 +36,43 @@ def held_steps_per_s(parts: tuple[ConvexPart, ...], grasp: Grasp, *, steps: int 
     return round(steps / (time.perf_counter() - start), 1)
 
 
+def fetch_steps_per_s(*, seconds: float = 3.0) -> float | None:
+    """Physics steps a second of FetchPickAndPlace-v4 in its own `step`; None without gymnasium-robotics."""
+    if importlib.util.find_spec("gymnasium_robotics") is None:
+        return None
+    import gymnasium
+    from gymnasium_robotics.utils import mujoco_utils  # registers the environment, too
+
+    # Release 1.4.2 looks for a number among MuJoCo's constants, and those of 3.17 are equal to none from that side.
+    kinds = SimpleNamespace(**{name: int(kind) for name, kind in mujoco.mjtJoint.__members__.items()})
+    mujoco_utils.mujoco = SimpleNamespace(**{**vars(mujoco), "mjtJoint": kinds})
+    env = gymnasium.make("FetchPickAndPlace-v4")
+    env.action_space.seed(0)
+    env.reset(seed=0)
+    steps, start = 0, time.perf_counter()
+    while time.perf_counter() - start < seconds:
+        _, _, terminated, truncated, _ = env.step(env.action_space.sample())
+        steps += 1
+        if terminated or truncated:
+            env.reset()
+    rate = steps * env.unwrapped.n_substeps / (time.perf_counter() - start)  # pyright: ignore[reportAttributeAccessIssue]
+    env.close()
+    return round(rate, 1)
+
+
 class TimedStep:
     """MuJoCo's own step that adds up the time it takes.
 
     Attributes:
         seconds: In all.
+        steps: Their number.
     """
 
     def __init__(self) -> None:
-        self.seconds = 0.0
+        self.seconds, self.steps = 0.0, 0
 
     def __call__(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         start = time.perf_counter()
         mujoco.mj_step(model, data)
         self.seconds += time.perf_counter() - start
+        self.steps += 1

@@ -1,9 +1,11 @@
-"""One object on a table under the gripper: compiled once, reset by copying state."""
+"""One object, alone or among others, on a table under the gripper: compiled once, reset by copying state."""
 
 # MuJoCo's names come from compiled modules, into which the type checker does not see.
 # pyright: reportAttributeAccessIssue=false
 
 from __future__ import annotations
+
+from collections.abc import Sequence
 
 import mujoco
 import numpy as np
@@ -27,26 +29,35 @@ class World:
         data: Its state.
     """
 
-    def __init__(self, scene_object: SceneObject) -> None:
-        self.model = compile_scene(build_scene([scene_object], gripper=True))
+    def __init__(self, scene_object: SceneObject, others: Sequence[SceneObject] = ()) -> None:
+        self.model = compile_scene(build_scene([scene_object, *others], gripper=True))
         self.data = mujoco.MjData(self.model)
         self._body = self.model.body(TARGET).id
         self._state = np.zeros(mujoco.mj_stateSize(self.model, _STATE))
         self._remember()
 
     @classmethod
-    def of_truth(cls, truth: TrueObject) -> World:
-        """The world as it is."""
-        return cls(SceneObject.of(truth, np.eye(4), name=TARGET))
+    def of_truth(
+        cls, truth: TrueObject, T_world_object: np.ndarray | None = None, others: Sequence[SceneObject] = ()
+    ) -> World:
+        """The world as it is; the object at the table's centre or elsewhere, others where they stand."""
+        return cls(SceneObject.of(truth, np.eye(4) if T_world_object is None else T_world_object, name=TARGET), others)
 
     @classmethod
-    def of_parts(cls, parts: tuple[ConvexPart, ...], mass_kg: float, friction: float) -> World:
+    def of_parts(
+        cls, parts: tuple[ConvexPart, ...], mass_kg: float, friction: float, others: Sequence[SceneObject] = ()
+    ) -> World:
         """The world as it was completed: convex parts, world frame, lifted out of the table if they reach into it."""
         points = np.concatenate([part.vertices for part in parts])
         centre = points.mean(axis=0)
         local = tuple(ConvexPart(part.vertices - centre, part.faces) for part in parts)
         sunk = min(0.0, float(points[:, 2].min()))
-        return cls(SceneObject(TARGET, local, None, make_T(t=centre - (0.0, 0.0, sunk)), mass_kg, friction))
+        return cls(SceneObject(TARGET, local, None, make_T(t=centre - (0.0, 0.0, sunk)), mass_kg, friction), others)
+
+    def shows_target(self, geom: np.ndarray) -> np.ndarray:
+        """Which pixels of geom ids, of any shape, are the object."""
+        body = np.append(self.model.geom_bodyid, -1)  # the last for -1, where there is nothing
+        return body[geom] == self._body
 
     @property
     def T_world_object(self) -> np.ndarray:

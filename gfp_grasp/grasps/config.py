@@ -34,6 +34,7 @@ class GraspConfig:
         upright_lever: Share of that distance along up that counts.
         good_lever_m: Lever of the pads against turning from which on more of it does not raise the quality.
         doubt_length_m: Standard deviation of the surface's position that costs unseen contact a factor e.
+        neighbour_gap_m: What was seen farther than this from the object and from the support is another object.
         hidden_preference: Quality of a grasp whose jaws the object hides over one with both in sight.
         gripper: Its boxes.
     """
@@ -59,6 +60,7 @@ class GraspConfig:
     upright_lever: float = 0.3
     good_lever_m: float = 0.008
     doubt_length_m: float = 0.010
+    neighbour_gap_m: float = 0.010
     hidden_preference: float = 0.5
     gripper: Gripper = field(default_factory=Gripper)
 

@@ -5,7 +5,9 @@ from typing import Protocol
 
 import numpy as np
 import trimesh
+from scipy.spatial import KDTree
 
+from gfp_grasp.camera import cloud_of
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.grasps.candidates import cast_closing_lines, poses_about
 from gfp_grasp.grasps.clearance import height_above, room_around
@@ -17,6 +19,7 @@ from gfp_grasp.types import Detection, Grasp, SupportPlane
 
 # The first look at a pose takes this many points; most poses end there.
 _COARSE_POINTS = 300
+_REACH_M = 0.35  # neighbours farther from the object than this are out of the gripper's way
 # Grasps closer than this to a better one are the same grasp: 8 mm, 15 degrees of closing axis, 25 of approach.
 _SAME_M, _SAME_CLOSING, _SAME_APPROACH = 0.008, np.cos(np.deg2rad(15)), np.cos(np.deg2rad(25))
 
@@ -43,7 +46,8 @@ def plan_grasps(
 
     Closing lines are cast through the mesh; about each, the gripper comes from several directions, none from below the
     support. A grasp stays if the jaws take the width, both patches of contact lie within the friction cone, and the
-    gripper, swept along its straight approach, meets neither the mesh, its convex parts nor the support. Its quality
+    gripper, swept along its straight approach, meets neither the mesh, its convex parts, the support nor what else was
+    seen to stand about. Its quality
     is a product of factors between 0 and 1:
 
     - squareness: cosine between closing axis and contact normal, the worse side, from the edge of the cone to 1;
@@ -122,8 +126,24 @@ def _sample(completion: Graspable, config: GraspConfig, rng: np.random.Generator
     counts = np.ceil(config.num_points / 2 * areas / areas.sum()).astype(int) if len(parts) else []
     of_parts = [sample_surface(part, int(n), rng)[0] for part, n in zip(parts, counts, strict=True)]
     corners = [np.asarray(part.vertices) for part in parts]
+    corners.append(_neighbours(completion.detection, config))
     centre = mesh.center_mass if mesh.is_volume else points.mean(axis=0)
     return _Surface(points, normals, odds, rng.permutation(np.concatenate([points, *of_parts, *corners])), centre)
+
+
+def _neighbours(detection: Detection, config: GraspConfig) -> np.ndarray:
+    """Points (n, 3) m of what else stands about: off the support, and off the object."""
+    view, support = detection.view, detection.support
+    if view is None or support is None:
+        return np.empty((0, 3))
+    points = cloud_of(view, None if detection.mask is None else ~detection.mask).points
+    points = points[support.distances(points) > config.neighbour_gap_m]
+    own = np.asarray(detection.cloud.points)
+    points = points[np.linalg.norm(points - own.mean(axis=0), axis=1) < _REACH_M]
+    if not len(points):
+        return points
+    apart = KDTree(own).query(points, distance_upper_bound=config.neighbour_gap_m)[0]
+    return points[np.isinf(apart)]
 
 
 def _looks_free(

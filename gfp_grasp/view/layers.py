@@ -1,0 +1,159 @@
+"""A sight as nodes of viser's scene, in layers that can be shown or not."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import trimesh
+
+from gfp_grasp.demo.story import Item, gripper_mesh
+from gfp_grasp.transforms import quat_wxyz, rotation_between
+from gfp_grasp.types import Grasp
+from gfp_grasp.view.clouds import SUPPORT, scene_cloud
+from gfp_grasp.view.colours import (
+    LINES,
+    OBSERVED,
+    PRIMITIVE,
+    SURROUNDINGS,
+    TABLE,
+    TRUTH,
+    apart,
+    grasp_colour,
+    scale_colours,
+    scale_end_mm,
+    seen_colours,
+)
+from gfp_grasp.view.sight import Sight
+from gfp_grasp.view.switches import Switches
+
+if TYPE_CHECKING:
+    import viser  # type: ignore[import-not-found]
+
+# More points of an object than this hide the surface under them.
+_MAX_OBSERVED = 1500
+_OBSERVED_M, _CLUSTER_M, _SCENE_M = 0.001, 0.0008, 0.0014  # sizes of points
+_TRUTH_OPACITY = 0.45
+_GRID_M, _CELL_M, _LABEL_M = 1.0, 0.05, 0.02
+
+
+@dataclass(eq=False)
+class Layers:
+    """The nodes of one sight, by name.
+
+    Attributes:
+        server: Whose scene they are in.
+        sight: What they show.
+        end_mm: Where the scale of sigma ends.
+        nodes: Handle of each node.
+    """
+
+    server: viser.ViserServer
+    sight: Sight
+    end_mm: float = field(init=False)
+    nodes: dict[str, viser.SceneNodeHandle] = field(default_factory=dict, init=False)
+
+    def __post_init__(self) -> None:
+        self.end_mm = scale_end_mm([item.completion.sigma_m for item in self.sight.items])
+        with self.server.atomic():
+            for number, item in enumerate(self.sight.items):
+                self._draw_item(number, item)
+            self._draw_scene()
+            self.show(Switches())
+
+    def show(self, switches: Switches) -> None:
+        """Make visible what the switches say, and nothing else."""
+        with self.server.atomic():
+            for name, node in self.nodes.items():
+                node.visible = switches.shows(name)
+
+    def move(self, number: int, T_now_start: np.ndarray) -> None:
+        """Move an object, its points and its truth by a rigid motion (4, 4) from where they were drawn."""
+        for name in (f"/objects/{number}", f"/truth/{number}"):
+            if name in self.nodes:
+                self.nodes[name].wxyz = quat_wxyz(T_now_start[:3, :3])
+                self.nodes[name].position = T_now_start[:3, 3]
+
+    def remove(self) -> None:
+        """Take all nodes out of the scene."""
+        for name in sorted(self.nodes, reverse=True):  # children before their parents
+            self.nodes[name].remove()
+        self.nodes.clear()
+
+    def _draw_scene(self) -> None:
+        scene, sight = self.server.scene, self.sight
+        scene.set_up_direction(sight.up)
+        completions = [item.completion for item in sight.items]
+        if sight.image is not None:
+            points, labels = scene_cloud(sight.image, completions)
+            colours = np.where(
+                (labels == SUPPORT)[:, None], np.array(TABLE, np.uint8), np.array(SURROUNDINGS, np.uint8)
+            )
+            self._points("/scene/points", points[labels < 0], colours[labels < 0], _SCENE_M)
+            for number, colour in enumerate(apart(len(completions))):  # each moves with its object
+                self._points(f"/objects/{number}/cluster", points[labels == number], colour, _CLUSTER_M)
+        for number, truth in enumerate(sight.truths):
+            self._simple(f"/truth/{number}", truth, TRUTH, opacity=_TRUTH_OPACITY)
+        if completions and (support := completions[0].detection.support) is not None:
+            middle = completions[0].mesh.bounds.mean(axis=0)
+            self.nodes["/scene/grid"] = scene.add_grid(
+                "/scene/grid",
+                _GRID_M,
+                _GRID_M,
+                cell_size=_CELL_M,
+                cell_color=LINES,
+                section_size=2 * _CELL_M,
+                section_color=LINES,
+                wxyz=quat_wxyz(rotation_between((0.0, 0.0, 1.0), support.normal)),
+                position=middle - support.distances(middle[None])[0] * support.normal,
+            )
+
+    def _draw_item(self, number: int, item: Item) -> None:
+        at, completion, scene = f"/objects/{number}", item.completion, self.server.scene
+        self.nodes[at] = scene.add_frame(at, show_axes=False)
+        points = np.asarray(completion.detection.cloud.points)
+        self._points(f"{at}/observed", points[:: max(1, -(-len(points) // _MAX_OBSERVED))], OBSERVED, _OBSERVED_M)
+        self._coloured(f"{at}/mesh", completion.mesh, seen_colours(completion.observed))
+        self._coloured(f"{at}/sigma", completion.mesh, scale_colours(completion.sigma_m, self.end_mm))
+        colours = apart(len(completion.parts))
+        shards = [
+            _painted(part, np.tile(c, (len(part.vertices), 1)))
+            for part, c in zip(completion.parts, colours, strict=True)
+        ]
+        self.nodes[f"{at}/parts"] = scene.add_mesh_trimesh(f"{at}/parts", _joined(shards))
+        if (fit := completion.fit) is not None:
+            wire = trimesh.Trimesh(fit.vertices_world(), fit.primitive.faces, process=False)
+            self._simple(f"{at}/primitive", wire, PRIMITIVE, wireframe=True)
+        if len(self.sight.items) > 1:
+            top = completion.mesh.vertices[np.argmax(completion.mesh.vertices @ self.sight.up)]
+            self.nodes[f"{at}/name"] = scene.add_label(f"{at}/name", item.name, position=top + _LABEL_M * self.sight.up)
+        self.nodes[f"/grasps/{number}"] = scene.add_frame(f"/grasps/{number}", show_axes=False)
+        for rank, grasp in enumerate(item.grasps):
+            self._draw_grasp(f"/grasps/{number}/{rank}", grasp, rank)
+
+    def _draw_grasp(self, name: str, grasp: Grasp, rank: int) -> None:
+        colour, opacity = grasp_colour(rank)
+        self._simple(name, gripper_mesh(grasp), colour, opacity=opacity, flat_shading=True, cast_shadow=False)
+
+    def _simple(self, name: str, mesh: trimesh.Trimesh, colour: tuple[int, int, int], **look: Any) -> None:
+        self.nodes[name] = self.server.scene.add_mesh_simple(
+            name, np.asarray(mesh.vertices), np.asarray(mesh.faces), color=colour, **look
+        )
+
+    def _points(self, name: str, points: np.ndarray, colours: np.ndarray | tuple[int, int, int], size_m: float) -> None:
+        self.nodes[name] = self.server.scene.add_point_cloud(
+            name, points, colours, point_size=size_m, precision="float32"
+        )
+
+    def _coloured(self, name: str, mesh: trimesh.Trimesh, colours: np.ndarray) -> None:
+        self.nodes[name] = self.server.scene.add_mesh_trimesh(name, _painted(mesh, colours))
+
+
+def _painted(mesh: trimesh.Trimesh, colours: np.ndarray) -> trimesh.Trimesh:
+    return trimesh.Trimesh(mesh.vertices, mesh.faces, vertex_colors=colours, process=False)
+
+
+def _joined(meshes: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
+    return trimesh.util.concatenate(list(meshes))  # pyright: ignore[reportReturnType]
