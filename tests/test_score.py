@@ -133,7 +133,8 @@ def test_a_completer_that_gives_up_has_failed_attempts(report):
 
 def test_the_json_has_the_promised_layout_and_no_path(report, folder):
     content = json.loads(report.to_json())
-    assert list(content) == ["settings", "completers", "paired", "trials"]
+    assert list(content) == ["settings", "completers", "classes", "paired", "trials"]
+    assert content["classes"]["bottle"]["oracle"]["successes"] == 1
     assert content["settings"]["objects"] == folder.name
     assert str(folder.parent) not in report.to_json()
     assert len(content["trials"]) == 8
