@@ -1,6 +1,7 @@
 """The environment on a plain cylinder, and on the user's own completers."""
 
 import pickle
+import time
 import warnings
 from typing import Any
 
@@ -15,7 +16,8 @@ import gfp_grasp
 from gfp_grasp.envs import GfpGraspEnv
 from gfp_grasp.errors import InvalidAction, InvalidOption, UnknownCompleter
 from gfp_grasp.grasps import plan_grasps
-from gfp_grasp.types import REASONS
+from gfp_grasp.transforms import make_T
+from gfp_grasp.types import REASONS, Grasp
 
 pytestmark = pytest.mark.filterwarnings("error")
 SMALL: dict[str, Any] = {"num_points": 256, "image_width": 160, "image_height": 120}
@@ -150,6 +152,45 @@ def test_a_grasp_keeps_clear_of_what_stands_beside_the_object(make):
         assert np.linalg.norm(reach - neighbour.pos[:2], axis=1).min() > 0.02
 
 
+def test_without_a_display_a_window_is_refused_by_name(make, monkeypatch):
+    monkeypatch.setattr("sys.platform", "linux")
+    for variable in ("DISPLAY", "WAYLAND_DISPLAY"):
+        monkeypatch.delenv(variable, raising=False)
+    with pytest.raises(InvalidOption, match="no display"):
+        make(render_mode="human")
+
+
+def test_a_window_follows_the_attempt_as_fast_as_the_clock(make, monkeypatch):
+    import mujoco.viewer
+
+    class Window:
+        open, synced = True, 0
+
+        def is_running(self):
+            return self.open
+
+        def sync(self):
+            self.synced += 1
+
+        def close(self):
+            self.open = False
+
+    windows = []
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr(mujoco.viewer, "launch_passive", lambda model, data: windows.append(Window()) or windows[-1])
+    env = make(render_mode="human")
+    env.reset(seed=1, options={"object": 0})
+    assert env.render() is None
+    before, start = windows[0].synced, time.monotonic()
+    env.step(env.action_code.encode(Grasp(make_T(t=(0.3, 0.3, 0.3)), 0.05)))  # beside the object
+    assert time.monotonic() - start > 0.5  # the approach alone takes 0.6 s
+    assert windows[0].synced > before + 50
+    env.reset(seed=1, options={"object": 1})  # of another model: another window
+    assert [window.open for window in windows] == [False, True]
+    env.close()
+    assert not windows[1].open
+
+
 def test_info_is_flat_and_has_the_same_keys_after_reset_and_step(make):
     env = make()
     _, at_reset = env.reset(seed=0)
@@ -194,7 +235,7 @@ def test_reset_takes_an_object_and_a_completion(make):
     ("options", "error", "message"),
     [
         ({"colour": "red"}, InvalidOption, "unknown option 'colour'; legal are objects"),
-        ({"render_mode": "human"}, InvalidOption, "render_mode is 'human'"),
+        ({"render_mode": "ansi"}, InvalidOption, "render_mode is 'ansi'"),
         ({"world": "flat"}, InvalidOption, "'true', 'completed'"),
         ({"sensor": "lidar"}, InvalidOption, "sensor"),
         ({"num_points": 0}, InvalidOption, "num_points"),

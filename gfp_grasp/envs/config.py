@@ -12,7 +12,7 @@ from gfp_grasp.errors import InvalidOption
 
 WORLDS = ("true", "completed")
 SENSORS = ("ideal", "gaussian", "realsense", "kinect")
-RENDER_MODES = (None, "rgb_array")
+RENDER_MODES = (None, "rgb_array", "human")
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class EnvConfig:
         grip_min_n: Weakest force limit of the jaws.
         grip_max_n: Strongest.
         spread_m: Without clutter, the object stands within this of the table's centre, along x and along y.
-        render_mode: None or "rgb_array".
+        render_mode: None, "rgb_array", or "human" for MuJoCo's viewer, which shows attempts as they are made.
     """
 
     objects: str = "cup,mug,bottle"

@@ -16,6 +16,7 @@ from gfp_grasp.completers import completer
 from gfp_grasp.envs.action import NUM_ACTION, ActionCode
 from gfp_grasp.envs.config import EnvConfig
 from gfp_grasp.envs.episode import Episode, draw_episode
+from gfp_grasp.envs.human import HumanView, has_display
 from gfp_grasp.envs.memory import give_back_memory
 from gfp_grasp.envs.observation import Observation, observation_space, observe
 from gfp_grasp.envs.picture import shade
@@ -91,7 +92,10 @@ class GfpGraspEnv(gymnasium.Env[Observation, np.ndarray], EzPickle):
         gymnasium.error.ResetNeeded: A step before the first reset.
     """
 
-    metadata: ClassVar[dict[str, Any]] = {"render_modes": ["rgb_array"], "render_fps": 1}
+    metadata: ClassVar[dict[str, Any]] = {
+        "render_modes": ["rgb_array", "human"] if has_display() else ["rgb_array"],
+        "render_fps": 1,
+    }
 
     def __init__(self, **options: object) -> None:
         EzPickle.__init__(self, **options)
@@ -110,6 +114,7 @@ class GfpGraspEnv(gymnasium.Env[Observation, np.ndarray], EzPickle):
         self._observation: Observation | None = None
         self._world: World | None = None
         self._num_resets = 0
+        self._human = HumanView() if self.render_mode == "human" else None
 
     @property
     def episode(self) -> Episode:
@@ -147,6 +152,7 @@ class GfpGraspEnv(gymnasium.Env[Observation, np.ndarray], EzPickle):
         )
         self._episode, self._world = self._world_of(self._episode, world, others)
         self._observation = observe(self._episode, self.config, self.np_random)
+        self._show()
         return _copy(self._observation), self._info(None)
 
     def step(self, action: np.ndarray) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
@@ -160,13 +166,18 @@ class GfpGraspEnv(gymnasium.Env[Observation, np.ndarray], EzPickle):
             self._world.restore()
             model, data, floats = self._world.model, self._world.data, self.config.world == "completed"
             settings = replace(self.settings, grip_n=self.episode.load.grip_n)
-            outcome = run_trial(model, data, grasp, settings, target=TARGET, floats=floats)
+            self._show()
+            watch = None if self._human is None else self._human.follow
+            outcome = run_trial(model, data, grasp, settings, target=TARGET, floats=floats, on_step=watch)
         return _copy(self._observation), float(outcome.success), True, False, self._info(outcome)
 
     def render(self) -> np.ndarray | None:  # pyright: ignore[reportIncompatibleMethodOverride]
-        """Picture (240, 320, 3) uint8 of the scene as it stands, shaded by ray casting."""
+        """Picture (240, 320, 3) uint8 of the scene as it stands, shaded by ray casting; None in MuJoCo's viewer."""
         if self.render_mode is None:
             gymnasium.logger.warn('render was called without a render_mode: make the environment with "rgb_array"')
+            return None
+        if self._human is not None:
+            self._show()
             return None
         if self._world is None:  # not reset yet, or nothing to simulate
             return np.zeros((240, 320, 3), dtype=np.uint8)
@@ -174,8 +185,14 @@ class GfpGraspEnv(gymnasium.Env[Observation, np.ndarray], EzPickle):
 
     def close(self) -> None:
         """Let go of the compiled scenes."""
+        if self._human is not None:
+            self._human.close()
         self._truths.clear()
         self._world = self._episode = self._observation = None
+
+    def _show(self) -> None:
+        if self._human is not None and self._world is not None:
+            self._human.show(self._world.model, self._world.data)
 
     def _chosen(self, options: dict[str, Any] | None) -> tuple[int, Completion | None]:
         """Number of the object and the completion to use, as asked for or drawn."""
