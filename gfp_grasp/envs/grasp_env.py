@@ -27,8 +27,6 @@ from gfp_grasp.errors import GfpGraspError, InvalidOption
 from gfp_grasp.scenes import SceneObject, load_objects, place_clutter
 from gfp_grasp.types import Outcome, TrueObject
 
-# Memory is given back after so many episodes, which leave up to 1 MB each; it takes 2 % of their time.
-_GIVE_BACK_EVERY = 32
 _RESET_OPTIONS = ("object", "completion")
 
 
@@ -113,7 +111,6 @@ class GfpGraspEnv(gymnasium.Env[Observation, np.ndarray], EzPickle):
         self._episode: Episode | None = None
         self._observation: Observation | None = None
         self._world: World | None = None
-        self._num_resets = 0
         self._human = HumanView() if self.render_mode == "human" else None
 
     @property
@@ -142,9 +139,7 @@ class GfpGraspEnv(gymnasium.Env[Observation, np.ndarray], EzPickle):
     ) -> tuple[Observation, dict[str, Any]]:
         """Draw an object, its place and a view; detect and complete it."""
         super().reset(seed=seed)
-        self._num_resets += 1
-        if self._num_resets % _GIVE_BACK_EVERY == 0:
-            give_back_memory()
+        give_back_memory()
         number, given = self._chosen(options)
         truth, world, T_start, others = self._scene(number)
         self._episode = draw_episode(
