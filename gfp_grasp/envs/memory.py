@@ -6,7 +6,6 @@ import sys
 from contextlib import suppress
 from itertools import count
 
-
 _EVERY = 32  # episodes, which leave up to 1 MB each; it takes 2 % of their time
 _calls = count(1)  # of all environments of this process: a score has one for each row
 
