@@ -111,7 +111,7 @@ def _memory(clouds: list[PointCloud], calls: int, watch: Callable) -> dict[str, 
         assert len(done.mesh.faces)
         if (call + 1) % every == 0:
             gc.collect()
-            resident.append(_resident_mb())
+            resident.append(resident_mb())
     return {"calls": calls, "rss_mb": resident}
 
 
@@ -127,7 +127,7 @@ def _of_size(cloud: PointCloud, size: int) -> PointCloud:
     return PointCloud(np.concatenate([points, between]), cloud.viewpoint)
 
 
-def _resident_mb() -> float:
+def resident_mb() -> float:
     """Memory of this process; the most it ever had where the system does not tell the present."""
     status = Path("/proc/self/statm")
     if status.is_file():

@@ -231,6 +231,25 @@ def _gain(paired: Mapping) -> tuple[str, ...]:
     return f"{1000 * paired['gain_m']:.3f}", interval, f"{paired['gain_share']:.1%}", f"{paired['wins']:.0%}"
 
 
+@bench.command()
+def resets(
+    objects: Objects = "cup,mug,bottle",
+    count: Annotated[int, typer.Option("--resets", min=10, help="Of one environment.")] = 10_000,
+    completer: Annotated[str, typer.Option(help="Name; a cheap one measures the environment.")] = "mirror",
+    limit: Limit = 20,
+    json_file: JsonFile = None,
+    seed: Seed = 0,
+) -> None:
+    """Memory of the environment over many resets."""
+    from gfp_grasp.bench.resets import bench_resets
+
+    report = bench_resets(
+        objects, resets=count, completer=completer, limit=limit or 20, seed=seed, progress=track("resets")
+    )
+    out.print_json(json.dumps(report))
+    save_json(json_file, report)
+
+
 def _figures(row: Mapping) -> tuple[str, ...]:
     def text(key: str, style: str, factor: float = 1.0) -> str:
         return "" if row.get(key) is None else format(factor * row[key], style)

@@ -21,6 +21,7 @@ _WARNINGS = [
         mujoco.mjtWarning.mjWARN_BADQPOS,
         mujoco.mjtWarning.mjWARN_BADQVEL,
         mujoco.mjtWarning.mjWARN_BADQACC,
+        mujoco.mjtWarning.mjWARN_CNSTRFULL,  # contacts were left out for want of memory
     )
 ]
 

@@ -22,6 +22,8 @@ _SOLREF = (0.008, 1.0)  # stiff: twice the least that a step of 2 ms can follow
 _SOLIMP = (0.95, 0.99, 0.001, 0.5, 2.0)  # 30 N sink a pad by 0.26 mm, MuJoCo's default by 0.43
 # Below these MuJoCo finds no hull or no volume, and says so without naming the part.
 _LEAST_VOLUME_M3, _LEAST_THICKNESS_M = 1e-11, 2e-5
+# Hundreds of parts in touch with table and gripper; the system gives only what of it is used.
+_ARENA_BYTES = 2**27
 _COLOURS = ("#4f7cac", "#c05746", "#6b9080", "#d9a441", "#7d5ba6", "#3d5a80", "#a26769", "#588157")
 
 
@@ -44,6 +46,7 @@ def build_scene(
         InvalidScene: Two objects of one name, or a part that is too small or too flat to collide.
     """
     spec = _template("single" if len(objects) < 2 else "clutter", table, gripper)
+    spec.memory = _ARENA_BYTES
     if table:
         for thing in [spec.body("table"), *spec.cameras, *spec.sites]:
             if getattr(thing, "name", "") != "grip_center":

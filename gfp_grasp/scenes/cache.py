@@ -9,6 +9,7 @@ import trimesh
 from gfp_grasp.collision.store import key_of, read_parts, write_parts
 from gfp_grasp.types import CollisionMesh
 
+_KEPT = 256  # at 0.2 MB
 _memory: dict[str, CollisionMesh] = {}
 
 
@@ -35,5 +36,7 @@ def decompose_cached(
         if found is None:
             found = decompose(mesh)
             write_parts(key, found)
+        if len(_memory) >= _KEPT:
+            _memory.pop(next(iter(_memory)))
         _memory[key] = found
     return _memory[key]
