@@ -10,8 +10,17 @@ import numpy as np
 import pytest
 import trimesh
 
+from gfp_grasp.bench.hostile_meshes import hostile_mesh
 from gfp_grasp.collision import DecomposeConfig, decompose, hull
-from gfp_grasp.collision.convex import MIN_THICKNESS_M, convex_part, convex_parts, volume_m3, within_parts
+from gfp_grasp.collision.convex import (
+    MIN_THICKNESS_M,
+    PartFaces,
+    convex_part,
+    convex_parts,
+    needed_corners,
+    volume_m3,
+    within_parts,
+)
 from gfp_grasp.collision.fidelity import union_error_m, volume_ratios
 from gfp_grasp.errors import DecompositionFailed, InvalidMesh, InvalidOption
 from gfp_grasp.types import ConvexPart
@@ -168,6 +177,31 @@ def test_the_smallest_parts_that_are_kept_compile_in_mujoco():
         body = spec.worldbody.add_body()
         body.add_geom(type=mujoco.mjtGeom.mjGEOM_MESH, meshname="hull", density=1000)
         spec.compile()
+
+
+def test_a_corner_that_is_almost_on_an_edge_folds_no_face():
+    _, mesh = hostile_mesh(6570)
+    part = hull(mesh).parts[0]
+    faces = PartFaces.of([part])
+    heights = faces.planes @ np.vstack([part.vertices.T, np.ones(len(part.vertices))])
+    assert heights.max() < 1e-12
+    assert volume_m3(part) == pytest.approx(mesh.convex_hull.volume)
+    cloud = np.asarray(mesh.vertices[np.unique(mesh.faces)])
+    assert len(needed_corners(cloud, 1e-4)) <= len(cloud)
+
+
+def test_of_a_dense_ball_few_corners_are_needed():
+    ball = trimesh.creation.icosphere(subdivisions=4, radius=0.03)
+    points = np.asarray(ball.vertices)
+    kept = needed_corners(points, 2e-4)
+    assert len(kept) < len(points) / 3
+    part = convex_part(points[kept])
+    assert part is not None
+    faces = PartFaces.of([part])
+    beyond = faces.planes @ np.vstack([points.T, np.ones(len(points))])
+    assert beyond.max() <= 2e-4 + 1e-9
+    flat = points * [1, 1, 0]
+    assert len(needed_corners(flat, 1e-4)) == len(flat)
 
 
 def test_error_of_a_box_against_a_shifted_copy_is_known():

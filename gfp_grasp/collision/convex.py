@@ -8,6 +8,7 @@ from itertools import product
 
 import manifold3d
 import numpy as np
+from scipy.spatial import ConvexHull
 
 from gfp_grasp.collision.budget import fewer_corners
 from gfp_grasp.types import ConvexPart
@@ -18,6 +19,7 @@ MIN_VOLUME_M3 = 1e-10
 MIN_THICKNESS_M = 1e-4
 _NEEDLE = 1e-9  # of the largest face of its part: a face so small has no direction but rounding
 _WAYS = np.array([way for way in product((-1.0, 0.0, 1.0), repeat=3) if any(way)])
+_FOLDED = 1e-9  # of the volume: a face that looks away from the centre by less does so by rounding
 _NEXT, _AFTER = [1, 2, 0], [2, 0, 1]
 
 
@@ -41,23 +43,39 @@ def convex_parts(
         if max_vertices is not None and len(corners) > max_vertices:
             corners, faces = _hull(fewer_corners(corners, max_vertices))
         hulls.append((corners, faces, centre))
-    full = [hull for hull in hulls if len(hull[0])]
-    solid = _are_solid(full) if full else ()
-    kept = tuple(ConvexPart(hull[0] + hull[2], hull[1]) for hull, is_solid in zip(full, solid, strict=True) if is_solid)
+    kept = _sound([hull for hull in hulls if len(hull[0])])
     return kept, len(hulls) - len(kept)
 
 
-def _are_solid(hulls: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> np.ndarray:
-    """Which hulls MuJoCo compiles; all at once, for there are many and each is small."""
+def _sound(hulls: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> tuple[ConvexPart, ...]:
+    """Of hulls (corners, faces, centre), those that MuJoCo compiles; all at once, as each of them is small."""
+    if not hulls:
+        return ()
     triangles = np.concatenate([corners[faces] for corners, faces, _ in hulls])
     starts = np.cumsum([0, *(len(faces) for _, faces, _ in hulls[:-1])])
     vectors = area_vectors(triangles)
-    volume = np.add.reduceat(np.einsum("ni,ni->n", triangles[:, 0], vectors), starts) / 3
+    from_centre = np.einsum("ni,ni->n", triangles[:, 0], vectors)
+    volume = np.add.reduceat(from_centre, starts) / 3
     thin = volume < MIN_THICKNESS_M * np.add.reduceat(lengths(vectors), starts)  # else no width is below the least
     solid = volume >= MIN_VOLUME_M3
     for i in np.flatnonzero(thin & solid):
         solid[i] = _thickness_m(*hulls[int(i)][:2]) >= MIN_THICKNESS_M
-    return solid
+    folded = np.minimum.reduceat(from_centre, starts) < -_FOLDED * volume
+    return tuple(
+        ConvexPart(*_unfolded(corners + centre) if folded[i] else (corners + centre, faces))
+        for i, (corners, faces, centre) in enumerate(hulls)
+        if solid[i]
+    )
+
+
+def _unfolded(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Corners and outward faces of the hull as Qhull makes it: Manifold's may fold at a corner almost on an edge."""
+    hull = ConvexHull(points)
+    used, faces = np.unique(hull.simplices, return_inverse=True)
+    corners, faces = points[used], faces.reshape(-1, 3)
+    inwards = np.einsum("ni,ni->n", area_vectors(corners[faces]), hull.equations[:, :3]) < 0
+    faces[inwards] = faces[inwards][:, ::-1]
+    return corners, faces
 
 
 def _thickness_m(corners: np.ndarray, faces: np.ndarray) -> float:
@@ -89,7 +107,7 @@ def needed_corners(points: np.ndarray, tolerance_m: float) -> np.ndarray:
         heights = normals @ centred.T - np.einsum("ni,ni->n", normals, triangles[solid, 0])[:, None]
         beyond = heights.max(axis=0)
         farthest = np.unique(heights.argmax(axis=1))
-        farthest = farthest[beyond[farthest] > tolerance_m]
+        farthest = np.setdiff1d(farthest[beyond[farthest] > tolerance_m], kept)
         if not len(farthest):
             return kept
         # A few at once: each of them brings others in.

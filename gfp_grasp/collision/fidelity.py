@@ -45,7 +45,7 @@ def union_error_m(
     faces = parts if isinstance(parts, PartFaces) else PartFaces.of(parts)
     anchors, triangle = _anchors(faces.triangles, faces.areas_m2, max(2 * count, _LEAST_ANCHORS), rng)
     union = _Surface(anchors, faces.triangles[triangle])
-    chosen = np.arange(0, max(2 * count, _LEAST_ANCHORS), max(1, _LEAST_ANCHORS // (2 * count)))
+    chosen = np.arange(0, max(2 * count, _LEAST_ANCHORS), max(1, _LEAST_ANCHORS // (3 * count // 2)))  # half are hidden
     inside = faces.within(anchors[chosen] + step * faces.normals[triangle[chosen]])
     inside[faces.owner[triangle[chosen]], np.arange(len(chosen))] = False
     seen = np.logical_not(inside.any(axis=0))
