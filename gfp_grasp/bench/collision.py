@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import trimesh
@@ -82,7 +83,7 @@ def bench_collision(
             }
             for name, group in {**groups, "all": mine}.items()
         }
-    settings = {"objects": objects, "num_objects": len(sources), "seed": seed, "methods": list(methods)}
+    settings = {"objects": Path(objects).name, "num_objects": len(sources), "seed": seed, "methods": list(methods)}
     return {"settings": settings, "rows": rows, "ratio": _ratios(trials), "trials": trials}
 
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 from functools import partial
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -60,7 +61,7 @@ def bench_trial(
     held = np.array([t["held"] for t in found], dtype=bool).reshape(-1, len(_STEPS))
     same = held[:, 1:] == held[:, :-1]
     return {
-        "settings": {"objects": objects, "num_objects": len(env.sources), "grasps": grasps, "seed": seed},
+        "settings": {"objects": Path(objects).name, "num_objects": len(env.sources), "grasps": grasps, "seed": seed},
         "attempts": len(found),
         "held": {f"1/{part}": int(count) for part, count in zip(_STEPS, held.sum(axis=0), strict=True)},
         "agreement": [round(float(share), 4) for share in same.mean(axis=0)] if len(found) else None,

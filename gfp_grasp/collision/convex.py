@@ -91,16 +91,16 @@ def needed_corners(points: np.ndarray, tolerance_m: float) -> np.ndarray:
     """Which few of (n, 3) points in m have a hull that all others are in, or out of by at most a tolerance.
 
     Returns:
-        Index (k,), ascending; all of them where they are flat.
+        Index (k,), ascending; all of them where they are flat or less than MuJoCo takes.
     """
     centred = points - points.mean(axis=0)
     kept = np.unique((centred @ _WAYS.T).argmax(axis=0))
     while True:
         corners, faces = _hull(centred[kept])
-        if not len(corners):
-            return np.arange(len(points))
         triangles = corners[faces]
         normals = area_vectors(triangles)
+        if np.vdot(triangles[:, 0], normals) <= 3 * MIN_VOLUME_M3:
+            return np.arange(len(points))
         areas = lengths(normals)
         solid = areas > _NEEDLE * areas.max()
         normals = normals[solid] / areas[solid, None]
