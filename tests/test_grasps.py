@@ -1,6 +1,6 @@
 """The planner on shapes whose good grasps are known."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -77,6 +77,15 @@ def test_jaws_behind_the_object_are_hidden_and_those_beside_it_are_not():
     assert 0.25 < hidden[0] <= 0.5  # one jaw of two, but for what looks out above
     assert hidden[1] < 0.1
     assert hidden[2] == 0
+
+
+def test_no_pose_has_no_share_and_what_is_too_wide_has_no_grasp_from_where_it_was_seen():
+    wide = cylinder(radius_m=0.09)
+    assert hidden_share(np.empty((0, 4, 4)), np.empty(0), wide, np.ones(3), Gripper()).shape == (0,)
+    completion = completion_of(wide)
+    cloud = PointCloud(np.asarray(wide.vertices), np.array([0.6, 0, 0.4]))
+    seen = replace(completion, detection=replace(completion.detection, cloud=cloud))
+    assert plan_grasps(seen) == ()
 
 
 def test_what_is_hidden_in_the_hollow_of_a_cup_costs_nothing():

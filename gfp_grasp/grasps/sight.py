@@ -33,14 +33,14 @@ def hidden_share(
     num_jaws = 2 * len(gripper.jaw)
     boxes = gripper.solids(opening_m)[:, :num_jaws]
     centres, halves = (boxes[:, :, 0] + boxes[:, :, 1]) / 2, (boxes[:, :, 1] - boxes[:, :, 0]) / 2
-    local = (centres[:, :, None] + _PLACES * halves[:, :, None]).reshape(len(boxes), -1, 3)
+    local = (centres[:, :, None] + _PLACES * halves[:, :, None]).reshape(len(boxes), num_jaws * len(_PLACES), 3)
     places = np.einsum("pij,pnj->pni", T_world_gripper[:, :3, :3], local) + T_world_gripper[:, None, :3, 3]
     flat = places.reshape(-1, 3)
     outside = np.flatnonzero(_beyond_hull(flat, mesh))
     towards = flat[outside] - viewpoint
     hidden = np.zeros(len(flat), dtype=bool)
     hidden[outside] = _is_blocked(mesh, viewpoint, towards)
-    return hidden.reshape(len(boxes), -1).mean(axis=1)
+    return hidden.reshape(len(boxes), num_jaws * len(_PLACES)).mean(axis=1)
 
 
 def _beyond_hull(points: np.ndarray, mesh: trimesh.Trimesh) -> np.ndarray:
