@@ -171,8 +171,4 @@ print([len(next(stream).parts)])
 def test_a_script_without_a_main_guard_may_use_it_and_end_before_it_is_done(tmp_path: Path, body: str, said: str):
     (tmp_path / "script.py").write_text(SCRIPT.format(body=body))
     done = subprocess.run([sys.executable, "-P", tmp_path / "script.py"], capture_output=True, text=True, timeout=60)
-    # Where a thread is within manifold3d as the interpreter ends, its binding tells of what it could not free.
-    ours = [
-        line for line in done.stderr.splitlines() if not line.startswith(("nanobind: ", " - ", "See https://nanobind"))
-    ]
-    assert (done.returncode, done.stdout, ours) == (0, said, [])
+    assert (done.returncode, done.stdout, done.stderr) == (0, said, "")

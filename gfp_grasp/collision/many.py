@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import threading
 from collections.abc import Iterable, Iterator
 from concurrent.futures import Future
@@ -59,16 +60,23 @@ def _stream(
         jobs.put(job)
     # Daemons, not an executor's threads: at the interpreter's end those would work off all that is left.
     threads = [threading.Thread(target=_work, args=(jobs, config, stop), daemon=True) for _ in meshes[:workers]]
+
+    def end() -> None:
+        stop.called_off.set()
+        for thread in threads:
+            if thread.ident is not None:
+                thread.join(_PATIENCE_S)
+
+    # A daemon that the interpreter's end finds at work holds what other libraries then miss, and say so.
+    atexit.register(end)
     try:
         for thread in threads:
             thread.start()
         for future in futures:
             yield future.result()
     finally:
-        stop.called_off.set()
-        for thread in threads:
-            if thread.ident is not None:
-                thread.join(_PATIENCE_S)
+        atexit.unregister(end)
+        end()
 
 
 def _work(jobs: SimpleQueue, config: DecomposeConfig, stop: _Stop) -> None:
