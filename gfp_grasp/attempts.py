@@ -17,7 +17,7 @@ from gfp_grasp.envs.grasp_env import GfpGraspEnv
 from gfp_grasp.errors import GfpGraspError, InvalidOption, WorkerLost
 from gfp_grasp.grasps.planners import PLANNERS, planner
 from gfp_grasp.metrics import CompletionErrors, completion_errors
-from gfp_grasp.report import Trial
+from gfp_grasp.report import Trial, row_names
 from gfp_grasp.types import Grasp
 
 # What a planner of one's own may fail with at the cost of its own trials.
@@ -60,12 +60,6 @@ class AttemptJob:
         """The same for every completer, whatever else is scored."""
         entropy = [self.seed, zlib.crc32(self.object_name.encode()), self.view]
         return int(np.random.SeedSequence(entropy).generate_state(1)[0])
-
-
-def row_names(row: str) -> tuple[str, str]:
-    """Of the completer and the planner of a row."""
-    name, _, planner_name = row.partition("/")
-    return name, planner_name or "antipodal"
 
 
 @lru_cache(maxsize=16)
@@ -166,9 +160,7 @@ def _errors(env: GfpGraspEnv, job: AttemptJob) -> CompletionErrors | None:
     episode = env.episode
     if episode.completion is None:
         return None
-    truth = episode.truth.mesh.copy()
-    truth.apply_transform(episode.T_world_object)
-    return completion_errors(episode.completion.mesh, truth, rng=np.random.default_rng(job.episode_seed))
+    return completion_errors(episode.completion.mesh, episode.true_mesh(), rng=np.random.default_rng(job.episode_seed))
 
 
 def lost_attempt(job: AttemptJob, error: WorkerLost) -> Trial:

@@ -123,7 +123,7 @@ class Report:
             name: {
                 other: _paired(held, name, other)
                 for other in dict.fromkeys((*BRACKETS, *names))
-                if other in names and other != name and (other in BRACKETS or _completer(other) == _completer(name))
+                if other in names and other != name and (other in BRACKETS or row_names(other)[0] == row_names(name)[0])
             }
             for name in names
         }
@@ -152,6 +152,12 @@ class Report:
         write_whole(path, self.to_json() + "\n")
 
 
+def row_names(row: str) -> tuple[str, str]:
+    """Of the completer and the planner of a row: "gfpnet/top-down", or "gfpnet" with the planner that goes unnamed."""
+    name, _, planner = row.partition("/")
+    return name, planner or "antipodal"
+
+
 def wilson_interval(successes: int, attempts: int) -> tuple[float, float]:
     """95 % interval of a success rate (Wilson 1927, doi:10.1080/01621459.1927.10502953); (0, 1) without attempts."""
     if attempts == 0:
@@ -166,10 +172,6 @@ def mcnemar_p(only_first: int, only_second: int) -> float:
     """Exact two-sided McNemar test of paired successes (1947, doi:10.1007/BF02295996); 1 without a difference."""
     differing = only_first + only_second
     return float(binomtest(only_first, differing, 0.5).pvalue) if differing else 1.0
-
-
-def _completer(row: str) -> str:
-    return row.partition("/")[0]
 
 
 def _paired(held: Mapping[tuple[str, str, int], bool], name: str, rival: str) -> dict[str, Any]:

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from gfp_grasp import __version__
-from gfp_grasp.attempts import AttemptJob, attempt, lost_attempt, row_names
+from gfp_grasp.attempts import AttemptJob, attempt, lost_attempt
 from gfp_grasp.completers import completer
 from gfp_grasp.envs.graspable import is_graspable
 from gfp_grasp.envs.settings import TrialSettings
@@ -18,8 +18,8 @@ from gfp_grasp.grasps.planners import planner
 from gfp_grasp.journal import Journal
 from gfp_grasp.parallel import pmap
 from gfp_grasp.primitives import list_primitives
-from gfp_grasp.report import Report, Trial
-from gfp_grasp.scenes import ObjectSource, load_objects
+from gfp_grasp.report import Report, Trial, row_names
+from gfp_grasp.scenes import ObjectSource, label_of, load_objects
 
 ALL_CLASSES = "*"
 BRACKETED = ("observed", "observed/top-down", "mirror", "gfs", "registration", "gfpnet-paper", "gfpnet", "oracle")
@@ -100,7 +100,7 @@ def score(
         for row in completers
     ]
     settings = {
-        "objects": _label(objects),
+        "objects": label_of(objects),
         "split": split,
         "num_objects": len(kept),
         "ungraspable": ungraspable,
@@ -168,11 +168,6 @@ def _refuse_broken(sources: Sequence[ObjectSource]) -> None:
 
 def _classes(classes: Sequence[str] | None) -> set[str]:
     return {*list_primitives(), ""} if classes is None else set(classes)
-
-
-def _label(objects: str | Path) -> str:
-    """Families as they are, files and folders by their own name: results never hold a path."""
-    return Path(objects).resolve().name if Path(objects).exists() else str(objects)
 
 
 __all__ = ["ALL_CLASSES", "BRACKETED", "Report", "Trial", "score"]

@@ -106,6 +106,10 @@ def test_the_page_holds_no_absolute_path_even_where_a_note_does(folder, report, 
     assert not list(tmp_path.glob("*.gif"))
 
 
+def test_a_score_among_clutter_is_made_again_among_clutter(report):
+    assert " --clutter 4 " in _command({**report.settings, "clutter": 4}, "out")
+
+
 def test_the_command_counts_objects_that_were_left_out(report):
     settings = {**report.settings, "num_objects": 5, "ungraspable": ["jug", "vat"], "classes": ["", "jug"]}
     assert " --limit 7 --classes ,jug --report out" in _command(settings, "out")

@@ -11,7 +11,6 @@ import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 
 import numpy as np
 import trimesh
@@ -26,7 +25,7 @@ from gfp_grasp.envs.pace import held_steps_per_s
 from gfp_grasp.errors import GfpGraspError, InvalidOption
 from gfp_grasp.grasps import plan_grasps
 from gfp_grasp.parallel import pmap
-from gfp_grasp.scenes import ObjectSource, load_objects
+from gfp_grasp.scenes import ObjectSource, label_of, load_objects
 from gfp_grasp.types import CollisionMesh, ConvexPart, Grasp
 
 _ENGINES = {
@@ -83,7 +82,7 @@ def bench_collision(
             }
             for name, group in {**groups, "all": mine}.items()
         }
-    settings = {"objects": Path(objects).name, "num_objects": len(sources), "seed": seed, "methods": list(methods)}
+    settings = {"objects": label_of(objects), "num_objects": len(sources), "seed": seed, "methods": list(methods)}
     return {"settings": settings, "rows": rows, "ratio": _ratios(trials), "trials": trials}
 
 

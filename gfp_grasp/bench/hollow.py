@@ -10,7 +10,6 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -23,7 +22,7 @@ from gfp_grasp.completion import Completion
 from gfp_grasp.envs.hollow import drop_marble, handle_hole, hangs, inside_of, tilt_deg
 from gfp_grasp.errors import GfpGraspError
 from gfp_grasp.parallel import pmap
-from gfp_grasp.scenes import ObjectSource, load_objects
+from gfp_grasp.scenes import ObjectSource, label_of, load_objects
 from gfp_grasp.types import HANDLE, ConvexPart
 
 MARBLE_M = 0.006
@@ -62,7 +61,7 @@ def bench_hollow(
     rows = {
         c: _figures([t for t in trials if t["category"] == c]) for c in dict.fromkeys(t["category"] for t in trials)
     }
-    settings = {"objects": Path(objects).name, "num_objects": len(sources), "seed": seed}
+    settings = {"objects": label_of(objects), "num_objects": len(sources), "seed": seed}
     return {"settings": settings, "rows": rows, "trials": trials}
 
 

@@ -11,6 +11,7 @@ from typing import Any
 from gfp_grasp.bench.speed import resident_mb
 from gfp_grasp.envs.grasp_env import GfpGraspEnv
 from gfp_grasp.errors import InvalidOption
+from gfp_grasp.scenes import label_of
 
 _POINTS = 10  # at which memory is measured
 # A small picture: it takes less time, and what stays of an episode is not its picture.
@@ -61,7 +62,13 @@ def bench_resets(
             resident.append(resident_mb())
     env.close()
     return {
-        "settings": {**chosen, "num_objects": len(env.sources), "resets": resets, "seed": seed},
+        "settings": {
+            **chosen,
+            "objects": label_of(objects),
+            "num_objects": len(env.sources),
+            "resets": resets,
+            "seed": seed,
+        },
         "rss_mb": resident,
         "resets_per_s": round(resets / seconds, 2),
     }

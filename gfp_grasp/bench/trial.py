@@ -7,9 +7,7 @@ that depends on the step is the simulator's, not the grasp's. Beside that, what 
 from __future__ import annotations
 
 import time
-from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -22,6 +20,7 @@ from gfp_grasp.envs.world import TARGET, World
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.grasps import plan_grasps
 from gfp_grasp.parallel import pmap
+from gfp_grasp.scenes import label_of
 from gfp_grasp.types import Grasp
 
 _STEPS = (1, 2, 4)  # parts of the simulator's time step
@@ -61,7 +60,7 @@ def bench_trial(
     held = np.array([t["held"] for t in found], dtype=bool).reshape(-1, len(_STEPS))
     same = held[:, 1:] == held[:, :-1]
     return {
-        "settings": {"objects": Path(objects).name, "num_objects": len(env.sources), "grasps": grasps, "seed": seed},
+        "settings": {"objects": label_of(objects), "num_objects": len(env.sources), "grasps": grasps, "seed": seed},
         "attempts": len(found),
         "held": {f"1/{part}": int(count) for part, count in zip(_STEPS, held.sum(axis=0), strict=True)},
         "agreement": [round(float(share), 4) for share in same.mean(axis=0)] if len(found) else None,
@@ -81,9 +80,8 @@ def _trials(number: int, *, objects: str, limit: int, grasps: int, seed: int) ->
     env.reset(seed=seed + number, options={"object": number})
     if env.completion is None or env.world is None:
         return []
-    settings = replace(env.settings, grip_n=env.episode.load.grip_n)
     return [
-        {"object": env.episode.truth.name, "grasp": rank, **_at_all_steps(env.world, grasp, settings)}
+        {"object": env.episode.truth.name, "grasp": rank, **_at_all_steps(env.world, grasp, env.trial_settings)}
         for rank, grasp in enumerate(plan_grasps(env.completion, grasps, seed=seed))
     ]
 

@@ -6,6 +6,7 @@ import warnings
 from dataclasses import dataclass
 
 import numpy as np
+import trimesh
 
 from gfp_grasp.camera import apply_sensor, intrinsics, render_depth, sample_viewpoint
 from gfp_grasp.complete import Completion
@@ -71,6 +72,10 @@ class Episode:
     completion: Completion | None
     failure: str = ""
     notes: str = ""
+
+    def true_mesh(self) -> trimesh.Trimesh:
+        """The object's mesh where it came to rest."""
+        return _at(self.truth, self.T_world_object)
 
 
 def draw_episode(
@@ -155,8 +160,16 @@ def _of_target(detections: tuple[Detection, ...], of_target: np.ndarray) -> Dete
 def _complete(complete: Completer, detection: Detection, truth: TrueObject, T_world_object: np.ndarray) -> Completion:
     if not isinstance(complete, Oracle):
         return complete(detection)
-    mesh = truth.mesh.copy()
-    mesh.apply_transform(T_world_object)
     known = truth.collision
     parts = tuple(ConvexPart(apply_T(T_world_object, part.vertices), part.faces) for part in known.parts)
-    return complete(detection, mesh, CollisionMesh(parts, known.error_m, known.made_by, known.seconds, known.notes))
+    return complete(
+        detection,
+        _at(truth, T_world_object),
+        CollisionMesh(parts, known.error_m, known.made_by, known.seconds, known.notes),
+    )
+
+
+def _at(truth: TrueObject, T_world_object: np.ndarray) -> trimesh.Trimesh:
+    mesh = truth.mesh.copy()
+    mesh.apply_transform(T_world_object)
+    return mesh

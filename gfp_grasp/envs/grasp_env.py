@@ -130,6 +130,11 @@ class GfpGraspEnv(gymnasium.Env[Observation, np.ndarray], EzPickle):
         return self.episode.completion
 
     @property
+    def trial_settings(self) -> TrialSettings:
+        """Numbers of an attempt in the current episode, its grip among them."""
+        return replace(self.settings, grip_n=self.episode.load.grip_n)
+
+    @property
     def world(self) -> World | None:
         """The compiled scene that attempts of the current episode run in; None where there is none."""
         return self._world
@@ -160,10 +165,9 @@ class GfpGraspEnv(gymnasium.Env[Observation, np.ndarray], EzPickle):
         else:
             self._world.restore()
             model, data, floats = self._world.model, self._world.data, self.config.world == "completed"
-            settings = replace(self.settings, grip_n=self.episode.load.grip_n)
             self._show()
             watch = None if self._human is None else self._human.follow
-            outcome = run_trial(model, data, grasp, settings, target=TARGET, floats=floats, on_step=watch)
+            outcome = run_trial(model, data, grasp, self.trial_settings, target=TARGET, floats=floats, on_step=watch)
         return _copy(self._observation), float(outcome.success), True, False, self._info(outcome)
 
     def render(self) -> np.ndarray | None:  # pyright: ignore[reportIncompatibleMethodOverride]

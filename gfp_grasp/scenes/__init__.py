@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 from gfp_grasp.scenes.objects import true_object
 from gfp_grasp.scenes.placing import place_clutter
 from gfp_grasp.scenes.scene_object import SceneObject
-from gfp_grasp.scenes.sources import SUFFIXES, ObjectSource, load_objects
+from gfp_grasp.scenes.sources import SUFFIXES, ObjectSource, label_of, load_objects
 
 if TYPE_CHECKING:
     from gfp_grasp.scenes.build import build_scene, compile_scene, save_scene
@@ -31,6 +31,7 @@ __all__ = [
     "SceneObject",
     "build_scene",
     "compile_scene",
+    "label_of",
     "load_objects",
     "place_clutter",
     "place_gripper",

@@ -111,6 +111,11 @@ def load_objects(
     )
 
 
+def label_of(objects: str | Path) -> str:
+    """Families as they are, files and folders by their own name: results never hold a path."""
+    return Path(objects).resolve().name if Path(objects).exists() else str(objects)
+
+
 def _shape_sources(family: str, seeds: Sequence[int]) -> list[ObjectSource]:
     return [ObjectSource(f"{family}-{seed}", family, family=family, seed=int(seed)) for seed in seeds]
 

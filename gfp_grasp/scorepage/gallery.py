@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import replace
 from itertools import islice
 from pathlib import Path
 
@@ -15,14 +14,13 @@ from gfp_grasp.envs.grasp_env import GfpGraspEnv
 from gfp_grasp.envs.world import TARGET
 from gfp_grasp.errors import CannotWrite, GfpGraspError, InvalidOption
 from gfp_grasp.grasps.planners import planner
-from gfp_grasp.report import Report, Trial
+from gfp_grasp.report import Report, Trial, row_names
 from gfp_grasp.scenes import load_objects
 from gfp_grasp.scorepage.failures import Exhibit
 from gfp_grasp.scorepage.overlay import overlay
 from gfp_grasp.scorepage.words import spoken
 from gfp_grasp.types import Grasp
 
-DEFAULT_PLANNER = "antipodal"
 # Twice as many pictures as the demonstration takes: many a failure is over in half a second.
 _COMMANDS_A_FRAME = 8
 
@@ -69,9 +67,10 @@ def _made_again(
 ) -> Iterator[Exhibit]:
     envs: dict[str, GfpGraspEnv] = {}
     for place, trial in enumerate(trials, start=1):
-        name = trial.completer.partition("/")[0]
+        name, _ = row_names(trial.completer)
         if name not in envs:
-            envs[name] = GfpGraspEnv(objects=objects, split=split, completer=name)
+            clutter = int(str(report.settings.get("clutter", 0)))
+            envs[name] = GfpGraspEnv(objects=objects, split=split, clutter=clutter, completer=name)
         yield _exhibit(trial, envs[name], numbers[trial.object], report, directory / f"failure-{place}")
 
 
@@ -103,10 +102,8 @@ def _exhibit(trial: Trial, env: GfpGraspEnv, number: int, report: Report, stem: 
 
 def _write_picture(env: GfpGraspEnv, path: Path) -> None:
     episode = env.episode
-    truth = episode.truth.mesh.copy()
-    truth.apply_transform(episode.T_world_object)
     completed = None if episode.completion is None else episode.completion.mesh
-    picture = overlay(truth, completed, seen_from=episode.image.T_world_camera[:3, 3])
+    picture = overlay(episode.true_mesh(), completed, seen_from=episode.image.T_world_camera[:3, 3])
     Image.fromarray(picture).save(path, optimize=True)
 
 
@@ -114,7 +111,7 @@ def _best_grasp(env: GfpGraspEnv, trial: Trial, report: Report) -> Grasp | None:
     """As the score had it: through the code of an action, which rounds it."""
     if env.completion is None:
         return None
-    name = trial.completer.partition("/")[2] or DEFAULT_PLANNER
+    _, name = row_names(trial.completer)
     num, seed = int(str(report.settings["grasps"])), int(str(report.settings["seed"]))
     grasp = next(islice(planner(name)(env.completion, num, seed=seed), num), None)
     return None if grasp is None else env.action_code.decode(env.action_code.encode(grasp))
@@ -125,9 +122,14 @@ def _film(env: GfpGraspEnv, grasp: Grasp, path: Path) -> str:
     world = env.world
     assert world is not None, "the true world is always there after a reset"
     world.restore()
-    settings = replace(env.settings, grip_n=env.episode.load.grip_n)
     outcome, frames = filmed_trial(
-        world.model, world.data, grasp, settings, target=TARGET, alone=True, commands_a_frame=_COMMANDS_A_FRAME
+        world.model,
+        world.data,
+        grasp,
+        env.trial_settings,
+        target=TARGET,
+        alone=not env.config.clutter,
+        commands_a_frame=_COMMANDS_A_FRAME,
     )
     write_clip(path, frames)
     return outcome.reason

@@ -127,8 +127,8 @@ def _command(settings: Mapping[str, Any], directory: str) -> str:
         "--completers",
         ",".join(settings["completers"]),
     ]
-    for name in ("views", "grasps", "seed", "split"):
-        words += [f"--{name}", str(settings[name])]
+    for name in ("views", "grasps", "seed", "split", "clutter"):
+        words += [f"--{name}", str(settings[name])] if name in settings else []
     met = settings["num_objects"] + len(settings.get("ungraspable", ()))  # the limit counts what is left out, too
     words += ["--limit", str(met)]
     if set(settings["classes"]) != {*list_primitives(), ""}:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -74,9 +74,8 @@ def record_trial(env: GfpGraspEnv, grasp: Grasp) -> Motion:
             shoot()
         commands += 1
 
-    settings = replace(env.settings, grip_n=env.episode.load.grip_n)
     floats = env.config.world == "completed"
-    outcome = run_trial(world.model, world.data, grasp, settings, target=TARGET, floats=floats, on_step=watch)
+    outcome = run_trial(world.model, world.data, grasp, env.trial_settings, target=TARGET, floats=floats, on_step=watch)
     shoot()
     world.restore()
     return Motion(outcome, np.stack(grippers), np.array(openings), np.stack(objects), T_start)

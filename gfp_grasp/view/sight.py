@@ -14,7 +14,6 @@ from gfp_grasp.demo.attempt import plan_among
 from gfp_grasp.demo.story import Item
 from gfp_grasp.envs.episode import Episode
 from gfp_grasp.metrics import completion_errors
-from gfp_grasp.transforms import apply_T
 from gfp_grasp.types import DepthImage
 
 _UP = np.array([0.0, 0.0, 1.0])
@@ -76,9 +75,7 @@ def sight_of_capture(capture: Capture, *, category: str | None = None, seed: int
 
 def sight_of_episode(episode: Episode, *, title: str, seed: int = 0) -> Sight:
     """What the environment drew: the object where it came to rest, its picture, and its completion if there is one."""
-    truth = trimesh.Trimesh(
-        apply_T(episode.T_world_object, episode.truth.mesh.vertices), episode.truth.mesh.faces, process=False
-    )
+    truth = episode.true_mesh()
     completion = episode.completion
     items = () if completion is None else (_item(episode.truth.name, completion, (completion,), truth, seed),)
     load = episode.load
