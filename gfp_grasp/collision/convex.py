@@ -79,12 +79,17 @@ def _unfolded(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _thickness_m(corners: np.ndarray, faces: np.ndarray) -> float:
-    vectors = area_vectors(corners[faces])
+    normals, offsets = _planes(corners[faces])
+    return float((offsets[:, None] - normals @ corners.T).max(axis=1).min())
+
+
+def _planes(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Unit normals (k, 3) and offsets (k,) m of those triangles that are no needles."""
+    vectors = area_vectors(triangles)
     areas = lengths(vectors)
-    broad = areas > _NEEDLE * areas.max()  # the direction of a needle is rounding only
+    broad = areas > _NEEDLE * areas.max()
     normals = vectors[broad] / areas[broad, None]
-    depths = np.einsum("ni,ni->n", normals, corners[faces[broad, 0]])[:, None] - normals @ corners.T
-    return float(depths.max(axis=1).min())
+    return normals, np.einsum("ni,ni->n", normals, triangles[broad, 0])
 
 
 def needed_corners(points: np.ndarray, tolerance_m: float) -> np.ndarray:
@@ -98,13 +103,10 @@ def needed_corners(points: np.ndarray, tolerance_m: float) -> np.ndarray:
     while True:
         corners, faces = _hull(centred[kept])
         triangles = corners[faces]
-        normals = area_vectors(triangles)
-        if np.vdot(triangles[:, 0], normals) <= 3 * MIN_VOLUME_M3:
+        if six_volumes(triangles).sum() <= 6 * MIN_VOLUME_M3:
             return np.arange(len(points))
-        areas = lengths(normals)
-        solid = areas > _NEEDLE * areas.max()
-        normals = normals[solid] / areas[solid, None]
-        heights = normals @ centred.T - np.einsum("ni,ni->n", normals, triangles[solid, 0])[:, None]
+        normals, offsets = _planes(triangles)
+        heights = normals @ centred.T - offsets[:, None]
         beyond = heights.max(axis=0)
         farthest = np.unique(heights.argmax(axis=1))
         farthest = np.setdiff1d(farthest[beyond[farthest] > tolerance_m], kept)

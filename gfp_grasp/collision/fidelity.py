@@ -43,9 +43,10 @@ def union_error_m(
     """
     step = _STEP * float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
     faces = parts if isinstance(parts, PartFaces) else PartFaces.of(parts)
-    anchors, triangle = _anchors(faces.triangles, faces.areas_m2, max(2 * count, _LEAST_ANCHORS), rng)
+    num = max(2 * count, _LEAST_ANCHORS)
+    anchors, triangle = _anchors(faces.triangles, faces.areas_m2, num, rng)
     union = _Surface(anchors, faces.triangles[triangle])
-    chosen = np.arange(0, max(2 * count, _LEAST_ANCHORS), max(1, _LEAST_ANCHORS // (3 * count // 2)))  # half are hidden
+    chosen = np.arange(0, num, max(1, num // (3 * count // 2)))  # of which some half are hidden
     inside = faces.within(anchors[chosen] + step * faces.normals[triangle[chosen]])
     inside[faces.owner[triangle[chosen]], np.arange(len(chosen))] = False
     seen = np.logical_not(inside.any(axis=0))
