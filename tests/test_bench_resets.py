@@ -1,5 +1,7 @@
 """Memory of the environment over many resets."""
 
+from pathlib import Path
+
 import pytest
 import trimesh
 
@@ -28,7 +30,14 @@ def test_memory_stays_flat_over_hundreds_of_resets(folder):
     assert resident[-1] - resident[0] < FLAT_MB
     assert report["resets_per_s"] > 0
     assert report["settings"] == {
-        **{"objects": folder, "completer": "mirror", "limit": 20, "num_objects": 18, "resets": 300, "seed": 0},
+        **{
+            "objects": Path(folder).name,
+            "completer": "mirror",
+            "limit": 20,
+            "num_objects": 18,
+            "resets": 300,
+            "seed": 0,
+        },
         **{"image_width": 120, "image_height": 90, "num_points": 256},
     }
 
