@@ -1,7 +1,8 @@
 """Bench of the grasp trial itself: `gfp-grasp bench trial`.
 
 Grasps planned on true objects are attempted at the simulator's time step and at half and a quarter of it: an outcome
-that depends on the step is the simulator's, not the grasp's. Beside that, what the trial's own code costs.
+that depends on the step is the simulator's, not the grasp's. Beside that, how fast held objects creep in the jaws, and
+what the trial's own code and whole episodes cost.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from gfp_grasp.envs.creep import creep_mps
 from gfp_grasp.envs.grasp_env import GfpGraspEnv
 from gfp_grasp.envs.pace import TimedStep, fetch_steps_per_s
 from gfp_grasp.envs.settings import TrialSettings
@@ -31,6 +33,7 @@ def bench_trial(
     *,
     limit: int = 24,
     grasps: int = 4,
+    completer: str = "gfpnet",
     seed: int = 0,
     workers: int = 1,
     progress=None,
@@ -41,6 +44,7 @@ def bench_trial(
         objects: Families, or a folder of meshes.
         limit: Objects in all.
         grasps: Attempts on each, the best planned on the true mesh.
+        completer: Of the whole episodes that are timed.
         seed: Of places and plans.
         workers: Processes; use 1 where the speed matters.
         progress: Wraps the stream of objects.
@@ -48,24 +52,36 @@ def bench_trial(
     Returns:
         {"settings", "attempts", "held": successes at each share of the step, "agreement": share of the attempts whose
         success at half the step is that at the whole one, and at a quarter that at half, "differing": those that do
-        not, "attempts_per_s" a core, "share_in_mj_step": of an attempt's time, median, "steps_per_s": physics steps a
-        second of whole attempts, and of FetchPickAndPlace-v4 in the same run where gymnasium-robotics is installed,
-        "trials": every attempt's}.
+        not, "creep_mm_per_s": median and largest speed of held objects in the jaws, over the objects' best grasps,
+        "attempts_per_s" and "episodes_per_s" a core, of attempts alone and with the view, its completion and the plan
+        before each, "share_in_mj_step": of an attempt's time, median, "steps_per_s": physics steps a second of whole
+        attempts, and of FetchPickAndPlace-v4 in the same run where gymnasium-robotics is installed, "trials": every
+        attempt's}.
     """
     if limit < 1 or grasps < 1:
         raise InvalidOption(f"limit is {limit} and grasps {grasps}; at least 1 of each is expected")
     env = GfpGraspEnv(objects=objects, completer="oracle", limit=limit)
-    run = partial(_trials, objects=objects, limit=limit, grasps=grasps, seed=seed)
-    found = [t for trials in pmap(run, range(len(env.sources)), workers=workers, progress=progress) for t in trials]
+    run = partial(_measured, objects=objects, limit=limit, grasps=grasps, completer=completer, seed=seed)
+    done = list(pmap(run, range(len(env.sources)), workers=workers, progress=progress))
+    found = [trial for one in done for trial in one["trials"]]
+    creeps = [one["creep_mps"] for one in done if one["creep_mps"] is not None]
     held = np.array([t["held"] for t in found], dtype=bool).reshape(-1, len(_STEPS))
     same = held[:, 1:] == held[:, :-1]
     return {
-        "settings": {"objects": label_of(objects), "num_objects": len(env.sources), "grasps": grasps, "seed": seed},
+        "settings": {
+            "objects": label_of(objects),
+            "num_objects": len(env.sources),
+            "grasps": grasps,
+            "completer": completer,
+            "seed": seed,
+        },
         "attempts": len(found),
         "held": {f"1/{part}": int(count) for part, count in zip(_STEPS, held.sum(axis=0), strict=True)},
         "agreement": [round(float(share), 4) for share in same.mean(axis=0)] if len(found) else None,
         "differing": [t for t, agree in zip(found, same.all(axis=1), strict=True) if not agree],
+        "creep_mm_per_s": [round(1e3 * float(np.quantile(creeps, q)), 4) for q in (0.5, 1.0)] if creeps else None,
         "attempts_per_s": round(len(found) / max(sum(t["seconds"] for t in found), 1e-9), 2),
+        "episodes_per_s": round(len(done) / max(sum(one["episode_s"] for one in done), 1e-9), 2),
         "share_in_mj_step": round(float(np.median([t["share"] for t in found])), 4) if found else None,
         "steps_per_s": {
             "GfpGrasp-v0": round(sum(t["steps"] for t in found) / max(sum(t["seconds"] for t in found), 1e-9), 1),
@@ -75,15 +91,31 @@ def bench_trial(
     }
 
 
-def _trials(number: int, *, objects: str, limit: int, grasps: int, seed: int) -> list[dict[str, Any]]:
+def _measured(number: int, *, objects: str, limit: int, grasps: int, completer: str, seed: int) -> dict[str, Any]:
     env = GfpGraspEnv(objects=objects, completer="oracle", limit=limit)
     env.reset(seed=seed + number, options={"object": number})
-    if env.completion is None or env.world is None:
-        return []
-    return [
-        {"object": env.episode.truth.name, "grasp": rank, **_at_all_steps(env.world, grasp, env.trial_settings)}
-        for rank, grasp in enumerate(plan_grasps(env.completion, grasps, seed=seed))
-    ]
+    found: dict[str, Any] = {"trials": [], "creep_mps": None}
+    if env.completion is not None and env.world is not None:
+        planned = plan_grasps(env.completion, grasps, seed=seed)
+        found["trials"] = [
+            {"object": env.episode.truth.name, "grasp": rank, **_at_all_steps(env.world, grasp, env.trial_settings)}
+            for rank, grasp in enumerate(planned)
+        ]
+        if planned:
+            found["creep_mps"] = creep_mps(env.world, planned[0], env.trial_settings)
+    return found | {"episode_s": _episode_s(number, objects, limit, completer, seed)}
+
+
+def _episode_s(number: int, objects: str, limit: int, completer: str, seed: int) -> float:
+    """Seconds of the second episode with an object: weights are read and its scene is compiled in the first."""
+    env = GfpGraspEnv(objects=objects, completer=completer, limit=limit)
+    env.reset(seed=seed + number, options={"object": number})
+    start = time.perf_counter()
+    env.reset(options={"object": number})
+    planned = [] if env.completion is None else plan_grasps(env.completion, 1, seed=seed)
+    if planned:
+        env.step(env.action_code.encode(planned[0]))
+    return time.perf_counter() - start
 
 
 def _at_all_steps(world: World, grasp: Grasp, settings: TrialSettings) -> dict[str, Any]:

@@ -308,15 +308,22 @@ def trial(
     objects: Objects = "cup,mug,bottle",
     limit: Limit = 24,
     grasps: Annotated[int, typer.Option(min=1, help="Attempts on each object.")] = 4,
+    completer: Annotated[str, typer.Option(help="Completes in the whole episodes that are timed.")] = "gfpnet",
     workers: Workers = 1,
     json_file: JsonFile = None,
     seed: Seed = 0,
 ) -> None:
-    """Outcomes of grasps at the time step, at half and at a quarter of it; attempts a second."""
+    """Outcomes of grasps at the time step, at half and at a quarter of it; creep; attempts and episodes a second."""
     from gfp_grasp.bench.trial import bench_trial
 
     report = bench_trial(
-        objects, limit=limit or 24, grasps=grasps, seed=seed, workers=workers, progress=track("objects")
+        objects,
+        limit=limit or 24,
+        grasps=grasps,
+        completer=completer,
+        seed=seed,
+        workers=workers,
+        progress=track("objects"),
     )
     out.print_json(json.dumps({key: value for key, value in report.items() if key != "trials"}))
     save_json(json_file, report)
