@@ -12,6 +12,7 @@ from gfp_grasp.grasps import GraspConfig, Gripper, plan_grasps, plan_top_down, p
 from gfp_grasp.grasps.clearance import height_above, room_around
 from gfp_grasp.grasps.contact import find_contacts
 from gfp_grasp.grasps.sight import hidden_share
+from gfp_grasp.grasps.wrench import carried_share
 from gfp_grasp.meshes import load_mesh, sample_surface
 from gfp_grasp.transforms import apply_T, make_T, rotation_about
 from gfp_grasp.types import Detection, OrientedBox, PointCloud, SupportPlane
@@ -220,7 +221,7 @@ def test_contacts_of_a_box_are_its_faces():
     assert contacts.squareness[0] == pytest.approx(1.0)
     assert contacts.realness[0] == pytest.approx(0.5)
     # A pad of 20 by 24 mm on a flat face twists on a radius of sqrt(20^2 + 24^2) / sqrt(12) mm.
-    assert contacts.lever_m[0] == pytest.approx(2 * 0.5 * np.hypot(0.020, 0.024) / np.sqrt(12), rel=0.05)
+    assert contacts.levers_m[0, 1] == pytest.approx(2 * 0.5 * np.hypot(0.020, 0.024) / np.sqrt(12), rel=0.05)
 
 
 def test_room_is_the_gap_to_the_nearest_box_and_moves_with_the_gripper():
@@ -231,6 +232,50 @@ def test_room_is_the_gap_to_the_nearest_box_and_moves_with_the_gripper():
     assert room[0] == pytest.approx(0.03, abs=1e-6)
     inside = apply_T(T, np.array([[0.0, 0.034, 0.0]]))  # behind a pad 6 mm thick
     assert room_around(T[None], np.array([0.06]), inside, gripper=gripper, standoff_m=0.1)[0] < 0
+
+
+def test_a_jaw_in_one_box_has_the_room_of_its_boxes():
+    rng = np.random.default_rng(0)
+    gripper, opening, T = Gripper(), np.linspace(0.01, 0.08, 8), np.tile(np.eye(4), (8, 1, 1))
+    boxes = gripper.solids(opening)
+    assert gripper.swept(opening, 0.1).shape[1] < boxes.shape[1]
+    boxes[:, :, 0, 2] -= 0.1
+    for point in rng.uniform(-0.2, 0.2, (200, 3)):
+        gap = np.maximum(boxes[:, :, 0] - point, point - boxes[:, :, 1]).max(axis=2).min(axis=1)
+        room = room_around(T, opening, point[None], gripper=gripper, standoff_m=0.1)
+        np.testing.assert_allclose(room, gap, atol=1e-7)
+
+
+def test_a_grasp_at_the_centre_of_mass_carries_most_and_one_beside_it_less():
+    down = np.column_stack([(1.0, 0, 0), (0, -1.0, 0), (0, 0, -1.0)])
+    T = np.stack([make_T(down, place) for place in ((0, 0, 0), (0.05, 0, 0), (0.1, 0, 0), (0, 0, 0.1))])
+    levers = np.full((4, 3), 0.02)
+    share = carried_share(T, levers, np.zeros(3), np.array([0.0, 0, 1]), friction=0.5, sway=0.3)
+    assert share[0] == pytest.approx(1 / np.hypot(1, 0.3), rel=1e-3)
+    assert share[0] > share[1] > share[2] > 0
+    # Hung 10 cm below the jaws, only the sway has a lever: 2 mu 0.3 * 0.1 m / 0.02 m.
+    assert share[3] == pytest.approx(1 / np.sqrt(1 + 0.3**2 + 1.5**2), rel=0.05)
+    level = carried_share(T, levers, np.zeros(3), np.array([0.0, 0, 1]), friction=0.5, sway=1e-9)
+    assert level[3] == pytest.approx(1.0)
+    assert level[1] == pytest.approx(1 / np.hypot(1, 0.05 / 0.02))
+
+
+def test_nothing_between_the_pads_is_no_contact():
+    nowhere = find_contacts(
+        np.eye(4)[None],
+        np.array([0.06]),
+        np.full((1, 3), 9.0),
+        np.eye(3)[:1],
+        np.ones(1),
+        gripper=Gripper(),
+        friction=0.5,
+    )
+    nobody = find_contacts(
+        np.empty((0, 4, 4)), np.empty(0), np.zeros((1, 3)), np.eye(3)[:1], np.ones(1), gripper=Gripper(), friction=0.5
+    )
+    assert np.isnan(nowhere.low_m).all()
+    assert nowhere.levers_m.shape == (1, 3)
+    assert len(nobody.low_m) == 0
 
 
 @pytest.mark.parametrize("knob", [0.0, 0.08])

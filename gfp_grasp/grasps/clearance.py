@@ -31,10 +31,9 @@ def room_around(
     Returns:
         (p,) m in the largest norm of the gripper's axes; negative where a point is inside of a swept box.
     """
-    boxes = gripper.solids(opening_m)
-    boxes[:, :, 0, 2] -= standoff_m
+    boxes = gripper.swept(opening_m, standoff_m)
     room = np.empty(len(boxes))
-    for some, local in in_gripper_frame(T_world_gripper, points):
+    for some, local in _in_gripper_frame(T_world_gripper, points):
         gaps = [_gap(local, boxes[some, b].astype(np.float32)) for b in range(boxes.shape[1])]
         room[some] = np.min(gaps, axis=0)
     return room
@@ -52,7 +51,7 @@ def height_above(
     return heights - standoff_m * np.maximum(up_local[:, 2], 0.0)
 
 
-def in_gripper_frame(T_world_gripper: np.ndarray, points: np.ndarray):
+def _in_gripper_frame(T_world_gripper: np.ndarray, points: np.ndarray):
     """Yield slices of the poses with (poses, n, 3) float32 points in each pose's frame."""
     step = max(1, _CHUNK // max(len(points), 1))
     for begin in range(0, len(T_world_gripper), step):

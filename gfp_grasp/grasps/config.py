@@ -30,9 +30,7 @@ class GraspConfig:
         standoff_m: Length of the straight approach.
         max_climb: Largest component of the approach direction along up; 0.1 is 6 degrees from below level.
         side_preference: Quality of a level approach over that of one straight down.
-        balance_length_m: Distance of the centre of mass from the grasp that costs a factor e.
-        upright_lever: Share of that distance along up that counts.
-        good_lever_m: Lever of the pads against turning from which on more of it does not raise the quality.
+        sway: Sideways acceleration that the object is to be carried against, as a share of gravity.
         doubt_length_m: Standard deviation of the surface's position that costs unseen contact a factor e.
         neighbour_gap_m: What was seen farther than this from the object and from the support is another object.
         hidden_preference: Quality of a grasp whose jaws the object hides over one with both in sight.
@@ -56,9 +54,7 @@ class GraspConfig:
     standoff_m: float = 0.10
     max_climb: float = 0.1
     side_preference: float = 0.9
-    balance_length_m: float = 0.06
-    upright_lever: float = 0.3
-    good_lever_m: float = 0.008
+    sway: float = 0.3
     doubt_length_m: float = 0.010
     neighbour_gap_m: float = 0.010
     hidden_preference: float = 0.5

@@ -1,14 +1,18 @@
 """Where the pads touch: the patches on either side, how squarely they are met and how real they are."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np
 
-from gfp_grasp.grasps.clearance import in_gripper_frame
 from gfp_grasp.grasps.gripper import Gripper
 
 # Surface this close to the first touch counts as touched: pads and real surfaces give way by about as much.
 _TOUCH_M = 1e-3
+# Poses times points that are looked at at once.
+_CHUNK = 2_000_000
+_NONE = np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
 
 
 @dataclass(frozen=True, eq=False)
@@ -20,14 +24,14 @@ class Contacts:
         high_m: (p,) the same for the jaw at +y.
         squareness: (p,) cosine between closing axis and mean normal, the worse of both patches.
         realness: (p,) mean over both patches of the points' odds of being where they seem.
-        lever_m: (p,) shortest lever with which the pads resist a turn about any axis, for a unit of grip force.
+        levers_m: (p, 3) with which the pads resist a turn about the gripper's x, y and z, for a unit of grip force.
     """
 
     low_m: np.ndarray
     high_m: np.ndarray
     squareness: np.ndarray
     realness: np.ndarray
-    lever_m: np.ndarray
+    levers_m: np.ndarray
 
 
 def find_contacts(
@@ -51,26 +55,76 @@ def find_contacts(
         gripper: For the extent of its pads.
         friction: Coulomb coefficient.
     """
-    count = len(T_world_gripper)
-    low, high, squareness, realness, lever = (np.full(count, np.nan) for _ in range(5))
-    (x0, _, z0), (x1, _, z1) = gripper.pad.low_high
-    for some, local in in_gripper_frame(T_world_gripper, points):
-        x, y, z = local[..., 0], local[..., 1], local[..., 2]
-        between = (x >= x0) & (x <= x1) & (z >= z0) & (z <= z1) & (np.abs(y) < opening_m[some, None] / 2)
-        high[some] = np.where(between, y, -np.inf).max(axis=1)
-        low[some] = np.where(between, y, np.inf).min(axis=1)
-        closing = T_world_gripper[some, :3, 1]
-        facing = closing.astype(np.float32) @ normals.T.astype(np.float32)
-        sides = [
-            _Patch(between & (y >= high[some, None] - _TOUCH_M) & (facing > 0), local, normals, odds),
-            _Patch(between & (y <= low[some, None] + _TOUCH_M) & (facing < 0), local, normals, odds),
-        ]
-        squareness[some] = np.minimum(_cosine(sides[0].normal, closing), _cosine(sides[1].normal, -closing))
-        realness[some] = (sides[0].odds + sides[1].odds) / 2
-        across = friction * (high[some] - low[some])
-        lever[some] = np.min([side.levers_m(across, friction) for side in sides], axis=(0, 1))
-    found = np.isfinite(low) & np.isfinite(high) & np.isfinite(squareness)
-    return Contacts(*(np.where(found, array, np.nan) for array in (low, high, squareness, realness, lever)))
+    near = _between_pads(T_world_gripper, opening_m, points, gripper)
+    low, high = near.extreme(np.minimum), near.extreme(np.maximum)
+    closing = T_world_gripper[:, :3, 1]
+    facing = np.einsum("ki,ki->k", closing[near.pose], normals[near.point])
+    sides = [
+        _Patch(near.take((near.local[:, 1] >= high[near.pose] - _TOUCH_M) & (facing > 0)), normals, odds),
+        _Patch(near.take((near.local[:, 1] <= low[near.pose] + _TOUCH_M) & (facing < 0)), normals, odds),
+    ]
+    squareness = np.minimum(_cosine(sides[0].normal, closing), _cosine(sides[1].normal, -closing))
+    realness = (sides[0].odds + sides[1].odds) / 2
+    levers = np.minimum(*(side.levers_m(friction * (high - low), friction) for side in sides))
+    missed = ~(np.isfinite(low) & np.isfinite(high) & np.isfinite(squareness))
+    for array in (low, high, squareness, realness, levers):
+        array[missed] = np.nan
+    return Contacts(low, high, squareness, realness, levers)
+
+
+@dataclass(frozen=True, eq=False)
+class _Near:
+    """Pairs of a pose and a point between its pads, by pose.
+
+    Attributes:
+        num_poses: p, also of those without a pair.
+        pose: (k,) numbers, ascending.
+        point: (k,) numbers.
+        local: (k, 3) m, in the pose's frame.
+    """
+
+    num_poses: int
+    pose: np.ndarray
+    point: np.ndarray
+    local: np.ndarray
+
+    def take(self, which: np.ndarray) -> _Near:
+        return _Near(self.num_poses, self.pose[which], self.point[which], self.local[which])
+
+    def extreme(self, largest_or_least: np.ufunc) -> np.ndarray:
+        """Of y, m, for each pose (p,); NaN where nothing is between its pads."""
+        found = np.full(self.num_poses, np.nan)
+        if len(self.pose):
+            starts = np.flatnonzero(np.diff(self.pose, prepend=-1))
+            found[self.pose[starts]] = largest_or_least.reduceat(self.local[:, 1], starts)
+        return found
+
+    def means(self, rows: np.ndarray) -> np.ndarray:
+        """Of rows (k, c), for each pose (p, c); NaN where it has none."""
+        counts = np.bincount(self.pose, minlength=self.num_poses)[:, None]
+        sums = np.stack([np.bincount(self.pose, column, minlength=self.num_poses) for column in rows.T], axis=1)
+        return np.divide(sums, counts, out=np.full(sums.shape, np.nan), where=counts > 0)
+
+
+def _between_pads(T: np.ndarray, opening_m: np.ndarray, points: np.ndarray, gripper: Gripper) -> _Near:
+    """Points that closing jaws sweep; most are ruled out by their place along the pad, in single precision."""
+    low, high = gripper.pad.low_high
+    step = max(1, _CHUNK // max(len(points), 1))
+    single = points.astype(np.float32).T
+    found = []
+    for begin in range(0, len(T), step):
+        some = T[begin : begin + step]
+        on_pad = np.ones((len(some), len(points)), dtype=bool)
+        for axis in (0, 2):
+            along = some[:, :3, axis].astype(np.float32) @ single
+            origin = np.einsum("pi,pi->p", some[:, :3, axis], some[:, :3, 3])
+            on_pad &= along >= (origin + low[axis])[:, None].astype(np.float32)
+            on_pad &= along <= (origin + high[axis])[:, None].astype(np.float32)
+        pose, point = np.nonzero(on_pad)
+        found.append((pose + begin, point))
+    pose, point = (np.concatenate(numbers) for numbers in zip(*found, strict=True)) if found else _NONE
+    local = np.einsum("kij,ki->kj", T[pose, :3, :3], points[point] - T[pose, :3, 3])
+    return _Near(len(T), pose, point, local).take(np.abs(local[:, 1]) < opening_m[pose] / 2)
 
 
 class _Patch:
@@ -82,28 +136,21 @@ class _Patch:
         variance: (p, 2) m^2 of the points along the pad's x and z.
     """
 
-    def __init__(self, touched: np.ndarray, local: np.ndarray, normals: np.ndarray, odds: np.ndarray) -> None:
-        pose, point = np.nonzero(touched)  # few points touch, so they are summed one by one
-        counts = np.bincount(pose, minlength=len(touched))
-
-        def mean(columns: np.ndarray) -> np.ndarray:
-            sums = np.stack([np.bincount(pose, column, minlength=len(touched)) for column in columns.T], axis=1)
-            return np.divide(sums, counts[:, None], out=np.full(sums.shape, np.nan), where=counts[:, None] > 0)
-
-        on_pad = local[pose, point][:, [0, 2]].astype(np.float64)
-        self.normal = mean(normals[point])
-        self.odds = mean(odds[point, None])[:, 0]
-        self.variance = np.maximum(mean(on_pad**2) - mean(on_pad) ** 2, 0.0)
+    def __init__(self, touched: _Near, normals: np.ndarray, odds: np.ndarray) -> None:
+        on_pad = touched.local[:, [0, 2]]
+        self.normal = touched.means(normals[touched.point])
+        self.odds = touched.means(odds[touched.point, None])[:, 0]
+        self.variance = np.maximum(touched.means(on_pad**2) - touched.means(on_pad) ** 2, 0.0)
 
     def levers_m(self, across_m: np.ndarray, friction: float) -> np.ndarray:
-        """Levers (3, p) m against turns about x, z and y, of a unit force on a patch of uniform pressure.
+        """Levers (p, 3) m against turns about x, y and z, of a unit force on a patch of uniform pressure.
 
         A turn about x or z is resisted by friction on both pads, across_m apart, and by the pressure's moving over the
         patch; one about the closing axis y by the patch's twisting alone.
         """
         extent = np.sqrt(12.0 * self.variance)
         about_y = 2.0 * friction * np.sqrt(self.variance.sum(axis=1))
-        return np.stack([across_m + extent[:, 1], across_m + extent[:, 0], about_y])
+        return np.stack([across_m + extent[:, 1], about_y, across_m + extent[:, 0]], axis=1)
 
 
 def _cosine(vectors: np.ndarray, axes: np.ndarray) -> np.ndarray:

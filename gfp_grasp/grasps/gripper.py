@@ -52,3 +52,23 @@ class Gripper:
         sideways = np.array([0.0, 1.0, 0.0])
         body = np.broadcast_to(np.stack([box.low_high for box in self.body]), (len(half), len(self.body), 2, 3))
         return np.concatenate([jaw + half * sideways, mirrored - half * sideways, body], axis=1)
+
+    def swept(self, opening_m: np.ndarray, standoff_m: float) -> np.ndarray:
+        """Boxes (p, b, 2, 3) m that the gripper sweeps on a straight approach of so many metres along z.
+
+        Those of a jaw are one where they differ only behind the front of the body, which sweeps that part as well.
+        """
+        boxes, num = self.solids(opening_m), len(self.jaw)
+        if self._jaws_are_one(standoff_m):
+            jaws = (boxes[:, :num], boxes[:, num : 2 * num])
+            whole = [np.stack([jaw[:, :, 0].min(axis=1), jaw[:, :, 1].max(axis=1)], axis=1) for jaw in jaws]
+            boxes = np.concatenate([np.stack(whole, axis=1), boxes[:, 2 * num :]], axis=1)
+        boxes[:, :, 0, 2] -= standoff_m
+        return boxes
+
+    def _jaws_are_one(self, standoff_m: float) -> bool:
+        low, high = np.stack([box.low_high for box in self.jaw]).transpose(1, 0, 2)
+        same_front = np.ptp(low[:, 0]) + np.ptp(high[:, 0]) + np.ptp(high[:, 2]) < 1e-9
+        without_gaps = (np.sort(low[:, 1])[1:] <= np.sort(high[:, 1])[:-1] + 1e-9).all()
+        behind = low[:, 2].max() - standoff_m <= max(box.low_high[1, 2] for box in self.body)
+        return bool(same_front and without_gaps and behind)

@@ -1,42 +1,24 @@
 """From a completed shape to ranked grasps."""
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 import trimesh
-from scipy.spatial import KDTree
 
-from gfp_grasp.camera import cloud_of
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.grasps.candidates import cast_closing_lines, poses_about
 from gfp_grasp.grasps.clearance import height_above, room_around
 from gfp_grasp.grasps.config import GraspConfig
 from gfp_grasp.grasps.contact import Contacts, find_contacts
 from gfp_grasp.grasps.sight import hidden_share
-from gfp_grasp.meshes import sample_surface
-from gfp_grasp.types import Detection, Grasp, SupportPlane
+from gfp_grasp.grasps.surface import Graspable, Surface, obstacle_of, surface_of
+from gfp_grasp.grasps.wrench import carried_share
+from gfp_grasp.types import Grasp, SupportPlane
 
 # The first look at a pose takes this many points; most poses end there.
 _COARSE_POINTS = 300
-_REACH_M = 0.35  # neighbours farther from the object than this are out of the gripper's way
 # Grasps closer than this to a better one are the same grasp: 8 mm, 15 degrees of closing axis, 25 of approach.
 _SAME_M, _SAME_CLOSING, _SAME_APPROACH = 0.008, np.cos(np.deg2rad(15)), np.cos(np.deg2rad(25))
-
-
-class Graspable(Protocol):
-    """What the planner looks at; `Completion` is one."""
-
-    @property
-    def mesh(self) -> trimesh.Trimesh: ...
-    @property
-    def parts(self) -> tuple[trimesh.Trimesh, ...]: ...
-    @property
-    def observed(self) -> np.ndarray: ...
-    @property
-    def sigma_m(self) -> np.ndarray: ...
-    @property
-    def detection(self) -> Detection: ...
 
 
 def plan_grasps(
@@ -47,16 +29,14 @@ def plan_grasps(
     Closing lines are cast through the mesh; about each, the gripper comes from several directions, none from below the
     support. A grasp stays if the jaws take the width, both patches of contact lie within the friction cone, and the
     gripper, swept along its straight approach, meets neither the mesh, its convex parts, the support nor what else was
-    seen to stand about. Its quality
-    is a product of factors between 0 and 1:
+    seen to stand about. Its quality is a product of factors between 0 and 1:
 
     - squareness: cosine between closing axis and contact normal, the worse side, from the edge of the cone to 1;
-    - balance: exp(-d / balance_length_m), d the distance from the grasp to the centre of mass, of whose part along up
-      only the share upright_lever counts: gravity has no lever there, shaking has;
+    - carrying: the load that the pads hold by friction and torque against gravity and a sway to any side, as a share of
+      what they hold with the centre of mass between them (`wrench.carried_share`);
     - realness: mean over the contact patch of 1 where the surface was observed, exp(-sigma / doubt_length_m) elsewhere;
     - room: 1/2 to 1 as the gap around the gripper grows to good_clearance_m;
     - approach: 1 from straight above, side_preference on the level;
-    - seat: shortest lever against turning over good_lever_m, at most 1; a round lip between the pads lets a cup swing;
     - sight: 1 with both jaws where the camera could see them, hidden_preference where the object hides them, but for
       its own hollow; the back of a mug may have a handle;
     - depth: 1 with the closing line through the middle of the pads, tip_preference near their tips.
@@ -81,31 +61,29 @@ def plan_grasps(
     start, end = cast_closing_lines(completion.mesh, support.normal, config=config, rng=rng)
     if len(start) == 0:
         return ()
-    surface = _sample(completion, config, rng)
-    T, width, at_tip = poses_about(start, end, support.normal, config=config)
-    T, width, at_tip = _take(rng.permutation(len(T))[: config.num_looks], T, width, at_tip)
-    free = np.flatnonzero(_looks_free(T, width, surface, support, config))
-    T, width, at_tip = _take(free[: config.num_poses], T, width, at_tip)
-    T, width, at_tip, contacts = _close_on(T, width, at_tip, surface, config)
-    opening = _opening(width, config)
-    quality = _quality(T, opening, contacts, surface, support, config)
-    quality *= np.where(at_tip, config.tip_preference, 1.0)
-    quality *= _sight(T, opening, completion, config)
-    good = np.flatnonzero(quality > 0)
-    best_first = good[np.argsort(-quality[good], kind="stable")]
-    chosen = _distinct(T, best_first, num)
-    return tuple(Grasp(T[i], float(opening[i]), float(quality[i])) for i in chosen)
+    surface = surface_of(completion, config, rng)
+    obstacle = obstacle_of(completion, surface, config, rng)
+    poses = _Poses(*poses_about(start, end, support.normal, config=config))
+    poses = poses.take(rng.permutation(len(poses.T))[: config.num_looks])
+    poses = poses.take(_looks_free(poses, obstacle, support, config)[: config.num_poses])
+    poses, contacts = _close_on(poses, surface, config)
+    quality = _quality(poses, contacts, obstacle, completion, support, config)
+    possible = np.flatnonzero(quality > 0)
+    best_first = possible[np.argsort(-quality[possible], kind="stable")]
+    opening = _opening(poses.width, config)
+    return tuple(Grasp(poses.T[i], float(opening[i]), float(quality[i])) for i in _distinct(poses.T, best_first, num))
 
 
 @dataclass(frozen=True, eq=False)
-class _Surface:
-    """points (n, 3) and normals (n, 3) of the mesh, odds (n,) of being real, obstacle (k, 3) of mesh and parts."""
+class _Poses:
+    """T (p, 4, 4) in the world, width (p,) m between the surfaces, at_tip (p,) whether these are at the pads' tips."""
 
-    points: np.ndarray
-    normals: np.ndarray
-    odds: np.ndarray
-    obstacle: np.ndarray
-    centre: np.ndarray
+    T: np.ndarray
+    width: np.ndarray
+    at_tip: np.ndarray
+
+    def take(self, which: np.ndarray) -> "_Poses":
+        return _Poses(self.T[which], self.width[which], self.at_tip[which])
 
 
 def _support_of(completion: Graspable) -> SupportPlane:
@@ -116,54 +94,19 @@ def _support_of(completion: Graspable) -> SupportPlane:
     return SupportPlane(detection.up, float((completion.mesh.vertices @ detection.up).min()))
 
 
-def _sample(completion: Graspable, config: GraspConfig, rng: np.random.Generator) -> _Surface:
-    mesh = completion.mesh
-    points, normals, face = sample_surface(mesh, config.num_points, rng)
-    odds_vertex = np.where(completion.observed, 1.0, np.exp(-completion.sigma_m / config.doubt_length_m))
-    odds = odds_vertex[mesh.faces[face]].mean(axis=1)
-    parts = completion.parts
-    areas = np.array([part.area for part in parts])
-    counts = np.ceil(config.num_points / 2 * areas / areas.sum()).astype(int) if len(parts) else []
-    of_parts = [sample_surface(part, int(n), rng)[0] for part, n in zip(parts, counts, strict=True)]
-    corners = [np.asarray(part.vertices) for part in parts]
-    corners.append(_neighbours(completion.detection, config))
-    centre = mesh.center_mass if mesh.is_volume else points.mean(axis=0)
-    return _Surface(points, normals, odds, rng.permutation(np.concatenate([points, *of_parts, *corners])), centre)
+def _looks_free(poses: _Poses, obstacle: np.ndarray, support: SupportPlane, config: GraspConfig) -> np.ndarray:
+    """Numbers of the poses that clear the support and a few points of the object."""
+    opening, sweep = _opening(poses.width, config), {"gripper": config.gripper, "standoff_m": config.standoff_m}
+    free = np.flatnonzero(height_above(poses.T, opening, support, **sweep) >= config.table_clearance_m)
+    room = room_around(poses.T[free], opening[free], obstacle[:_COARSE_POINTS], **sweep)
+    return free[room > 0]
 
 
-def _neighbours(detection: Detection, config: GraspConfig) -> np.ndarray:
-    """Points (n, 3) m of what else stands about: off the support, and off the object."""
-    view, support = detection.view, detection.support
-    if view is None or support is None:
-        return np.empty((0, 3))
-    points = cloud_of(view, None if detection.mask is None else ~detection.mask).points
-    points = points[support.distances(points) > config.neighbour_gap_m]
-    own = np.asarray(detection.cloud.points)
-    points = points[np.linalg.norm(points - own.mean(axis=0), axis=1) < _REACH_M]
-    if not len(points):
-        return points
-    apart = KDTree(own).query(points, distance_upper_bound=config.neighbour_gap_m)[0]
-    return points[np.isinf(apart)]
-
-
-def _looks_free(
-    T: np.ndarray, width: np.ndarray, surface: _Surface, support: SupportPlane, config: GraspConfig
-) -> np.ndarray:
-    """Which poses (p,) clear the support and a few points of the object."""
-    opening, sweep = _opening(width, config), {"gripper": config.gripper, "standoff_m": config.standoff_m}
-    free = height_above(T, opening, support, **sweep) >= config.table_clearance_m
-    free[free] = room_around(T[free], opening[free], surface.obstacle[:_COARSE_POINTS], **sweep) > 0
-    return free
-
-
-def _close_on(
-    T: np.ndarray, width: np.ndarray, at_tip: np.ndarray, surface: _Surface, config: GraspConfig
-) -> tuple[np.ndarray, np.ndarray, np.ndarray, Contacts]:
+def _close_on(poses: _Poses, surface: Surface, config: GraspConfig) -> tuple[_Poses, Contacts]:
     """Centre poses between the surfaces that the pads touch first, and keep those whose width the jaws take."""
-    opening = _opening(width, config)
     contacts = find_contacts(
-        T,
-        opening,
+        poses.T,
+        _opening(poses.width, config),
         surface.points,
         surface.normals,
         surface.odds,
@@ -172,36 +115,40 @@ def _close_on(
     )
     width = contacts.high_m - contacts.low_m
     fits = np.isfinite(width) & (width <= config.max_width_m)
-    T, width, at_tip = _take(fits, T.copy(), width, at_tip)
-    contacts = Contacts(*_take(fits, *vars(contacts).values()))
+    contacts = Contacts(*(array[fits] for array in vars(contacts).values()))
+    T = poses.T[fits].copy()
     T[:, :3, 3] += ((contacts.low_m + contacts.high_m) / 2)[:, None] * T[:, :3, 1]
-    return T, width, at_tip, contacts
+    return _Poses(T, width[fits], poses.at_tip[fits]), contacts
 
 
 def _quality(
-    T: np.ndarray,
-    opening: np.ndarray,
+    poses: _Poses,
     contacts: Contacts,
-    surface: _Surface,
+    obstacle: np.ndarray,
+    completion: Graspable,
     support: SupportPlane,
     config: GraspConfig,
 ) -> np.ndarray:
     """The product that `plan_grasps` states, (p,); 0 where the grasp is not possible."""
+    T, opening, up = poses.T, _opening(poses.width, config), support.normal
     sweep = {"gripper": config.gripper, "standoff_m": config.standoff_m}
     cone = 1.0 / np.hypot(1.0, config.friction)
     square = np.clip((contacts.squareness - cone) / (1.0 - cone), 0.0, 1.0)
     square[height_above(T, opening, support, **sweep) < config.table_clearance_m] = 0.0
     room = np.zeros(len(T))
-    room[square > 0] = room_around(T[square > 0], opening[square > 0], surface.obstacle, **sweep)
-    away = surface.centre - T[:, :3, 3]
-    upright = (away @ support.normal)[:, None] * support.normal
-    lever = np.linalg.norm(away - (1.0 - config.upright_lever) * upright, axis=1)
-    balance = np.exp(-lever / config.balance_length_m)
-    steepness = np.clip(-T[:, :3, 2] @ support.normal, 0.0, 1.0)
-    approach = config.side_preference + (1.0 - config.side_preference) * steepness
+    room[square > 0] = room_around(T[square > 0], opening[square > 0], obstacle, **sweep)
     roominess = np.where(room > config.least_room_m, 0.5 + 0.5 * np.clip(room / config.good_clearance_m, 0.0, 1.0), 0.0)
-    seat = np.clip(contacts.lever_m / config.good_lever_m, 0.0, 1.0)
-    return square * balance * contacts.realness * roominess * approach * seat
+    centre = _centre_of(completion.mesh)
+    carried = carried_share(T, contacts.levers_m, centre, up, friction=config.friction, sway=config.sway)
+    steepness = np.clip(-T[:, :3, 2] @ up, 0.0, 1.0)
+    approach = config.side_preference + (1.0 - config.side_preference) * steepness
+    depth = np.where(poses.at_tip, config.tip_preference, 1.0)
+    sight = _sight(T, opening, completion, config)
+    return square * carried * contacts.realness * roominess * approach * depth * sight
+
+
+def _centre_of(mesh: trimesh.Trimesh) -> np.ndarray:
+    return mesh.center_mass if mesh.is_volume else mesh.centroid
 
 
 def _sight(T: np.ndarray, opening: np.ndarray, completion: Graspable, config: GraspConfig) -> np.ndarray:
@@ -215,10 +162,6 @@ def _sight(T: np.ndarray, opening: np.ndarray, completion: Graspable, config: Gr
 def _opening(width: np.ndarray, config: GraspConfig) -> np.ndarray:
     """Jaw opening (p,) m before closing on widths (p,) m."""
     return np.minimum(width + 2 * config.jaw_clearance_m, config.gripper.stroke_m)
-
-
-def _take(which: np.ndarray, *arrays: np.ndarray) -> tuple[np.ndarray, ...]:
-    return tuple(array[which] for array in arrays)
 
 
 def _distinct(T: np.ndarray, best_first: np.ndarray, num: int) -> list[int]:

@@ -8,7 +8,8 @@ from typing import Protocol, cast
 
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.grasps.config import GraspConfig
-from gfp_grasp.grasps.plan import Graspable, plan_grasps
+from gfp_grasp.grasps.plan import plan_grasps
+from gfp_grasp.grasps.surface import Graspable
 from gfp_grasp.grasps.top_down import plan_top_down
 from gfp_grasp.plugins import imported_function
 from gfp_grasp.types import Grasp

@@ -6,7 +6,7 @@ import numpy as np
 
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.grasps.config import GraspConfig
-from gfp_grasp.grasps.plan import Graspable
+from gfp_grasp.grasps.surface import Graspable
 from gfp_grasp.transforms import make_T, rotation_about
 from gfp_grasp.types import Grasp
 

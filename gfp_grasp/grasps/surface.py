@@ -1,0 +1,81 @@
+"""What the planner feels for: samples of a completed surface, of its parts and of what stands about."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import trimesh
+from scipy.spatial import KDTree
+
+from gfp_grasp.camera import cloud_of
+from gfp_grasp.grasps.config import GraspConfig
+from gfp_grasp.meshes import sample_surface
+from gfp_grasp.types import Detection
+
+_REACH_M = 0.35  # neighbours farther from the object than this are out of the gripper's way
+
+
+class Graspable(Protocol):
+    """What the planner looks at; `Completion` is one."""
+
+    @property
+    def mesh(self) -> trimesh.Trimesh: ...
+    @property
+    def parts(self) -> tuple[trimesh.Trimesh, ...]: ...
+    @property
+    def observed(self) -> np.ndarray: ...
+    @property
+    def sigma_m(self) -> np.ndarray: ...
+    @property
+    def detection(self) -> Detection: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """Samples that the pads may touch.
+
+    Attributes:
+        points: (n, 3) m, world frame.
+        normals: (n, 3) outward.
+        odds: (n,) of being real, 0 to 1.
+    """
+
+    points: np.ndarray
+    normals: np.ndarray
+    odds: np.ndarray
+
+
+def surface_of(completion: Graspable, config: GraspConfig, rng: np.random.Generator) -> Surface:
+    """Samples of the completed mesh."""
+    mesh = completion.mesh
+    points, normals, face = sample_surface(mesh, config.num_points, rng)
+    odds = np.where(completion.observed, 1.0, np.exp(-completion.sigma_m / config.doubt_length_m))
+    return Surface(points, normals, odds[mesh.faces[face]].mean(axis=1))
+
+
+def obstacle_of(completion: Graspable, surface: Surface, config: GraspConfig, rng: np.random.Generator) -> np.ndarray:
+    """Points (k, 3) m that the gripper keeps clear of, in no order: of the mesh, its parts, and what stands about."""
+    parts = completion.parts
+    areas = np.array([part.area for part in parts])
+    counts = np.ceil(config.num_points / 2 * areas / areas.sum()).astype(int) if len(parts) else []
+    of_parts = [sample_surface(part, int(n), rng)[0] for part, n in zip(parts, counts, strict=True)]
+    corners = [np.asarray(part.vertices) for part in parts]
+    neighbours = _neighbours(completion.detection, config)
+    return rng.permutation(np.concatenate([surface.points, *of_parts, *corners, neighbours]))
+
+
+def _neighbours(detection: Detection, config: GraspConfig) -> np.ndarray:
+    """Points (n, 3) m of what else stands about: off the support, and off the object."""
+    view, support = detection.view, detection.support
+    if view is None or support is None:
+        return np.empty((0, 3))
+    points = cloud_of(view, None if detection.mask is None else ~detection.mask).points
+    points = points[support.distances(points) > config.neighbour_gap_m]
+    own = np.asarray(detection.cloud.points)
+    points = points[np.linalg.norm(points - own.mean(axis=0), axis=1) < _REACH_M]
+    if not len(points):
+        return points
+    apart = KDTree(own).query(points, distance_upper_bound=config.neighbour_gap_m)[0]
+    return points[np.isinf(apart)]
