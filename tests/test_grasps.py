@@ -89,10 +89,11 @@ def test_no_pose_has_no_share_and_what_is_too_wide_has_no_grasp_from_where_it_wa
     assert plan_grasps(seen) == ()
 
 
-def test_what_is_hidden_in_the_hollow_of_a_cup_costs_nothing():
+def test_the_deeper_a_jaw_is_in_an_unseen_hollow_the_more_of_it_is_hidden():
     R = np.column_stack([(0.0, 1.0, 0), (1.0, 0, 0), (0, 0, -1.0)])
-    inside = make_T(R, (0, 0, 0.06))
-    assert hidden_share(inside[None], np.array([0.04]), cup(), np.array([0.3, 0, 0.6]), Gripper())[0] == 0
+    poses = np.stack([make_T(R, (0, 0, height)) for height in (0.04, 0.06, 0.20)])
+    deep, less, above = hidden_share(poses, np.full(3, 0.04), cup(), np.array([0.3, 0, 0.6]), Gripper())
+    assert deep > less > above == 0
 
 
 def test_a_cup_too_wide_for_the_jaws_is_pinched_by_its_wall():

@@ -37,8 +37,8 @@ def plan_grasps(
     - realness: mean over the contact patch of 1 where the surface was observed, exp(-sigma / doubt_length_m) elsewhere;
     - room: 1/2 to 1 as the gap around the gripper grows to good_clearance_m;
     - approach: 1 from straight above, side_preference on the level;
-    - sight: 1 with both jaws where the camera could see them, hidden_preference where the object hides them, but for
-      its own hollow; the back of a mug may have a handle;
+    - sight: 1 with both jaws where the camera could see them, hidden_preference where the object hides them: a mug's
+      back may have a handle, and its hollow be less deep than it was completed;
     - depth: 1 with the closing line through the middle of the pads, tip_preference near their tips.
 
     Args:

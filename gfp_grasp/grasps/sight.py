@@ -1,10 +1,9 @@
-"""Which grasps put their jaws where nobody has looked: behind the object there may be a handle."""
+"""Which grasps put their jaws where nobody has looked: behind the object may be a handle, in its hollow a floor."""
 
 from itertools import product
 
 import numpy as np
 import trimesh
-from scipy.spatial import ConvexHull, QhullError
 
 from gfp_grasp.grasps.gripper import Gripper
 
@@ -15,10 +14,9 @@ _PLACES = 0.6 * np.array(list(product((-1.0, 1.0), repeat=3)))
 def hidden_share(
     T_world_gripper: np.ndarray, opening_m: np.ndarray, mesh: trimesh.Trimesh, viewpoint: np.ndarray, gripper: Gripper
 ) -> np.ndarray:
-    """Share of the jaws that an object hides from a viewpoint, but for what is within its hull.
+    """Share of the jaws that an object hides from a viewpoint, behind it as well as in its own hollow.
 
-    What is hidden within the hull is the hollow of a cup, of which the completion tells; what is hidden outside of it
-    may be free, or a part of the object that was not completed.
+    What is hidden may be free, or a part of the object that was not completed: a handle, or a floor higher up.
 
     Args:
         T_world_gripper: (p, 4, 4) final poses.
@@ -35,20 +33,8 @@ def hidden_share(
     centres, halves = (boxes[:, :, 0] + boxes[:, :, 1]) / 2, (boxes[:, :, 1] - boxes[:, :, 0]) / 2
     local = (centres[:, :, None] + _PLACES * halves[:, :, None]).reshape(len(boxes), num_jaws * len(_PLACES), 3)
     places = np.einsum("pij,pnj->pni", T_world_gripper[:, :3, :3], local) + T_world_gripper[:, None, :3, 3]
-    flat = places.reshape(-1, 3)
-    outside = np.flatnonzero(_beyond_hull(flat, mesh))
-    towards = flat[outside] - viewpoint
-    hidden = np.zeros(len(flat), dtype=bool)
-    hidden[outside] = _is_blocked(mesh, viewpoint, towards)
+    hidden = _is_blocked(mesh, viewpoint, places.reshape(-1, 3) - viewpoint)
     return hidden.reshape(len(boxes), num_jaws * len(_PLACES)).mean(axis=1)
-
-
-def _beyond_hull(points: np.ndarray, mesh: trimesh.Trimesh) -> np.ndarray:
-    try:
-        planes = ConvexHull(mesh.vertices).equations
-    except QhullError:
-        return np.ones(len(points), dtype=bool)
-    return (np.column_stack([points, np.ones(len(points))]) @ planes.T).max(axis=1) > 0
 
 
 def _is_blocked(mesh: trimesh.Trimesh, viewpoint: np.ndarray, towards: np.ndarray) -> np.ndarray:
