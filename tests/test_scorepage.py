@@ -16,7 +16,7 @@ from gfp_grasp.errors import CannotWrite, GfpGraspError, InvalidOption
 from gfp_grasp.grasps import plan_grasps
 from gfp_grasp.report import Report, Trial
 from gfp_grasp.score import score
-from gfp_grasp.scorepage import prepare_folder, write_score_page
+from gfp_grasp.scorepage import prepare_folder, write_picture, write_score_page
 from gfp_grasp.scorepage.charts import _HATCHES, bracket_chart, reasons_chart
 from gfp_grasp.scorepage.failures import MOST, choose_failures
 from gfp_grasp.scorepage.overlay import overlay
@@ -142,6 +142,17 @@ def test_a_folder_that_cannot_be_written_is_refused_by_name(folder, report, tmp_
         with pytest.raises(CannotWrite, match="taken") as caught:
             act(tmp_path / "taken")
         assert isinstance(caught.value, GfpGraspError)
+
+
+def test_the_picture_is_a_drawing_by_itself_of_the_rows(report, tmp_path):
+    drawing = ElementTree.parse(write_picture(report, tmp_path / "new" / "score.svg")).getroot()
+    assert drawing.tag == "{http://www.w3.org/2000/svg}svg"
+    words = [element.text for element in drawing.iter("{http://www.w3.org/2000/svg}text")]
+    assert {"mirror", "oracle", "2/2"} <= set(words)
+    [style] = drawing.iter("{http://www.w3.org/2000/svg}style")
+    assert set(re.findall(r"var\((--\w+)\)", style.text or "")) <= set(re.findall(r"(--\w+):", style.text or ""))
+    with pytest.raises(CannotWrite, match=r"score\.svg"):
+        write_picture(report, tmp_path / "new" / "score.svg" / "score.svg")
 
 
 def test_objects_that_were_not_scored_are_refused(report, tmp_path):

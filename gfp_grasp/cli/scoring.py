@@ -24,6 +24,9 @@ def score(
     workers: Workers = 1,
     ray: Ray = None,
     json_file: JsonFile = None,
+    picture: Annotated[
+        Path | None, typer.Option(dir_okay=False, help="Draw the rows between their brackets to this .svg file.")
+    ] = None,
     page: Annotated[
         Path | None, typer.Option("--report", help="Folder for a page of charts, failures and figures; index.html.")
     ] = None,
@@ -63,6 +66,10 @@ def score(
     if json_file is not None and journal is not None:
         report.write(json_file)
         journal.unlink(missing_ok=True)
+    if picture is not None:
+        from gfp_grasp.scorepage import write_picture
+
+        write_picture(report, picture)
     if page is not None:
         made = write_score_page(report, page, objects=objects, split=split, progress=track("failures"))
         out.print(f"open {made}", markup=False, highlight=False, soft_wrap=True)
