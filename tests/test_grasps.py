@@ -11,6 +11,7 @@ from gfp_grasp.errors import InvalidOption
 from gfp_grasp.grasps import GraspConfig, Gripper, plan_grasps, plan_top_down, planner
 from gfp_grasp.grasps.clearance import height_above, room_around
 from gfp_grasp.grasps.contact import find_contacts
+from gfp_grasp.grasps.gripper import Box
 from gfp_grasp.grasps.sight import hidden_share
 from gfp_grasp.grasps.wrench import carried_share
 from gfp_grasp.meshes import load_mesh, sample_surface
@@ -222,7 +223,10 @@ def test_contacts_of_a_box_are_its_faces():
     assert contacts.squareness[0] == pytest.approx(1.0)
     assert contacts.realness[0] == pytest.approx(0.5)
     # A pad of 20 by 24 mm on a flat face twists on a radius of sqrt(20^2 + 24^2) / sqrt(12) mm.
-    assert contacts.levers_m[0, 1] == pytest.approx(2 * 0.5 * np.hypot(0.020, 0.024) / np.sqrt(12), rel=0.05)
+    about_y = 2 * 0.5 * np.hypot(0.020, 0.024) / np.sqrt(12)
+    # Turns about x and z are resisted by friction over 40 mm and by the length and the width of the pad.
+    about_x, about_z = 0.5 * 0.04 + 0.024, 0.5 * 0.04 + 0.020
+    assert contacts.levers_m[0] == pytest.approx([about_x, about_y, about_z], rel=0.05)
 
 
 def test_room_is_the_gap_to_the_nearest_box_and_moves_with_the_gripper():
@@ -255,10 +259,48 @@ def test_a_grasp_at_the_centre_of_mass_carries_most_and_one_beside_it_less():
     assert share[0] == pytest.approx(1 / np.hypot(1, 0.3), rel=1e-3)
     assert share[0] > share[1] > share[2] > 0
     # Hung 10 cm below the jaws, only the sway has a lever: 2 mu 0.3 * 0.1 m / 0.02 m.
-    assert share[3] == pytest.approx(1 / np.sqrt(1 + 0.3**2 + 1.5**2), rel=0.05)
-    level = carried_share(T, levers, np.zeros(3), np.array([0.0, 0, 1]), friction=0.5, sway=1e-9)
+    assert share[3] == pytest.approx(1 / np.sqrt(1 + 0.3**2 + 1.5**2))
+    level = carried_share(T, levers, np.zeros(3), np.array([0.0, 0, 1]), friction=0.5, sway=0.0)
     assert level[3] == pytest.approx(1.0)
     assert level[1] == pytest.approx(1 / np.hypot(1, 0.05 / 0.02))
+
+
+def test_each_lever_resists_the_turn_about_its_own_axis():
+    """Jaws from above, closing along the world's -y: a weight beside them along x turns them about the closing axis."""
+    down = np.column_stack([(1.0, 0, 0), (0, -1.0, 0), (0, 0, -1.0)])
+    up = np.array([0.0, 0, 1])
+
+    def share(levers, place=(0, 0, 0)):
+        T = make_T(down, place)[None]
+        return carried_share(T, np.array([levers]), np.zeros(3), up, friction=0.5, sway=0.0)[0]
+
+    along_x, along_y = (share((0.01, 0.02, 0.04), place) for place in ((0.05, 0, 0), (0, 0.05, 0)))
+    assert along_x == pytest.approx(1 / np.hypot(1, 0.05 / 0.02))
+    assert along_y == pytest.approx(1 / np.hypot(1, 0.05 / 0.01))
+    assert np.isnan(share((np.nan, np.nan, np.nan)))
+
+
+@pytest.mark.parametrize("knob", [{"sway": -0.1}, {"side_preference": 3.0}, {"sway": float("inf")}])
+def test_a_share_that_is_none_is_refused(knob):
+    with pytest.raises(InvalidOption, match=next(iter(knob))):
+        GraspConfig(**knob)
+
+
+def test_a_part_without_area_and_a_sigma_that_is_not_known_do_not_end_planning():
+    known = completion_of(cylinder())
+    flat = trimesh.Trimesh([(0, 0, 0), (0.01, 0, 0), (0.02, 0, 0)], [(0, 1, 2)], process=False)
+    assert len(plan_grasps(replace(known, parts=(*known.parts, flat)), 4)) == 4
+    unknown = np.full(len(known.mesh.vertices), np.nan)
+    assert len(plan_grasps(replace(known, sigma_m=unknown), 4)) == 4
+
+
+def test_jaws_that_reach_beyond_the_body_stay_two_boxes():
+    for gripper, opening, place in (
+        (Gripper(stroke_m=0.2), 0.16, (0, 0.083, -0.13)),
+        (Gripper(body=(Box((0, 0, -0.085), (0.03, 0.02, 0.03)),)), 0.06, (0, 0.033, -0.13)),
+    ):
+        room = room_around(np.eye(4)[None], np.array([opening]), np.array([place]), gripper=gripper, standoff_m=0.1)
+        assert room[0] == pytest.approx(0.003, abs=1e-6)
 
 
 def test_nothing_between_the_pads_is_no_contact():

@@ -54,9 +54,9 @@ def bench_trial(
         success at half the step is that at the whole one, and at a quarter that at half, "differing": those that do
         not, "creep_mm_per_s": median and largest speed of held objects in the jaws, over the objects' best grasps,
         "attempts_per_s" and "episodes_per_s" a core, of attempts alone and with the view, its completion and the plan
-        before each, "share_in_mj_step": of an attempt's time, median, "steps_per_s": physics steps a second of whole
-        attempts, and of FetchPickAndPlace-v4 in the same run where gymnasium-robotics is installed, "trials": every
-        attempt's}.
+        before each (without an attempt where no grasp was found), "share_in_mj_step": of an attempt's time, median,
+        "steps_per_s": physics steps a second of whole attempts, and of FetchPickAndPlace-v4 in the same run where
+        gymnasium-robotics is installed, "trials": every attempt's}.
     """
     if limit < 1 or grasps < 1:
         raise InvalidOption(f"limit is {limit} and grasps {grasps}; at least 1 of each is expected")

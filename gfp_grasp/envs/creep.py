@@ -14,6 +14,7 @@ from gfp_grasp.envs.rig import Rig
 from gfp_grasp.envs.settings import TrialSettings
 from gfp_grasp.envs.trial import run_trial
 from gfp_grasp.envs.world import TARGET, World
+from gfp_grasp.errors import InvalidOption
 from gfp_grasp.transforms import invert_T
 from gfp_grasp.types import Grasp
 
@@ -27,25 +28,31 @@ def creep_mps(world: World, grasp: Grasp, settings: TrialSettings, *, seconds: f
         world: Scene with the object at rest, which is restored first.
         grasp: World frame.
         settings: Of the attempt; its hold is made longer.
-        seconds: Time over which the speed is taken.
+        seconds: Time over which the speed is taken, s.
 
     Returns:
         m/s, of the object's point at the gripper's origin, as slip is measured; None where the attempt ended before.
+
+    Raises:
+        InvalidOption: seconds is not a positive number.
     """
+    if not 0 < seconds < float("inf"):
+        raise InvalidOption(f"seconds is {seconds}; a positive finite number is expected")
     world.restore()
     rig = Rig.of(world.model, world.data, TARGET)
-    began = world.data.time
-    times, poses = [], []
+    poses: list[np.ndarray] = []
 
-    def note(data: mujoco.MjData) -> None:
-        times.append(data.time - began)
+    def note(_: mujoco.MjData) -> None:
         poses.append(invert_T(rig.T_world_gripper) @ rig.T_world_target)
 
     held = replace(settings, hold_s=_SETTLES_S + seconds)
     run_trial(world.model, world.data, grasp, held, target=TARGET, on_step=note)
-    start = held.approach_s + held.close_s + held.lift_s + _SETTLES_S
-    first, last = np.searchsorted(times, (start - 1e-9, start + seconds - 1e-9))
-    if last >= len(times):
+    # The attempt lasts a whole number of commands; the last of them at rest is that at the end of the hold.
+    phases = (held.approach_s, held.close_s, held.lift_s, held.hold_s)
+    last = sum(max(1, round(phase / held.control_s)) for phase in phases) - 1
+    first = last - max(1, round(seconds / held.control_s))
+    if last >= len(poses):
         return None
     moved = (poses[last] @ invert_T(poses[first]))[:3, 3]
-    return float(np.linalg.norm(moved) / (times[last] - times[first]))
+    command_s = max(1, round(held.control_s / world.model.opt.timestep)) * world.model.opt.timestep
+    return float(np.linalg.norm(moved) / ((last - first) * command_s))

@@ -63,14 +63,18 @@ class GraspConfig:
     def __post_init__(self) -> None:
         for knob in fields(self):
             value = getattr(self, knob.name)
-            if knob.name in ("gripper", "max_climb", "table_clearance_m", "min_clearance_m", "least_room_m"):
+            if knob.name in ("gripper", "max_climb", "table_clearance_m", "min_clearance_m", "least_room_m", "sway"):
                 continue
+            if knob.name.endswith("_preference") and not 0 < value <= 1:
+                raise InvalidOption(f"GraspConfig.{knob.name} is {value}; a share above 0 and up to 1 is expected")
             if not value > 0:
                 raise InvalidOption(f"GraspConfig.{knob.name} is {value}; a positive number is expected")
         if not 0 <= self.min_clearance_m < self.gripper.stroke_m / 2:
             raise InvalidOption(
                 f"GraspConfig.min_clearance_m is {self.min_clearance_m}; 0 to half the stroke is expected"
             )
+        if not 0 <= self.sway < float("inf"):
+            raise InvalidOption(f"GraspConfig.sway is {self.sway}; zero or a positive finite number is expected")
         if not -1 <= self.max_climb <= 1:
             raise InvalidOption(f"GraspConfig.max_climb is {self.max_climb}; a cosine between -1 and 1 is expected")
 

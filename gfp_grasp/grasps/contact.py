@@ -24,7 +24,8 @@ class Contacts:
         high_m: (p,) the same for the jaw at +y.
         squareness: (p,) cosine between closing axis and mean normal, the worse of both patches.
         realness: (p,) mean over both patches of the points' odds of being where they seem.
-        levers_m: (p, 3) with which the pads resist a turn about the gripper's x, y and z, for a unit of grip force.
+        levers_m: (p, 3) m with which the pads resist a turn about the gripper's x, y and z, for a unit of grip force;
+            those of the pad that resists it less.
     """
 
     low_m: np.ndarray

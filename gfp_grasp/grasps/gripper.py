@@ -56,19 +56,23 @@ class Gripper:
     def swept(self, opening_m: np.ndarray, standoff_m: float) -> np.ndarray:
         """Boxes (p, b, 2, 3) m that the gripper sweeps on a straight approach of so many metres along z.
 
-        Those of a jaw are one where they differ only behind the front of the body, which sweeps that part as well.
+        Those of a jaw are one where they differ only in what a box of the body sweeps as well.
         """
         boxes, num = self.solids(opening_m), len(self.jaw)
-        if self._jaws_are_one(standoff_m):
+        if self._jaws_are_one(np.max(opening_m, initial=0.0) / 2, standoff_m):
             jaws = (boxes[:, :num], boxes[:, num : 2 * num])
             whole = [np.stack([jaw[:, :, 0].min(axis=1), jaw[:, :, 1].max(axis=1)], axis=1) for jaw in jaws]
             boxes = np.concatenate([np.stack(whole, axis=1), boxes[:, 2 * num :]], axis=1)
         boxes[:, :, 0, 2] -= standoff_m
         return boxes
 
-    def _jaws_are_one(self, standoff_m: float) -> bool:
+    def _jaws_are_one(self, reach_m: float, standoff_m: float) -> bool:
+        """Whether a jaw, open to reach_m from the middle, may go as one box: flush in front, the body behind."""
         low, high = np.stack([box.low_high for box in self.jaw]).transpose(1, 0, 2)
-        same_front = np.ptp(low[:, 0]) + np.ptp(high[:, 0]) + np.ptp(high[:, 2]) < 1e-9
+        flush = np.ptp(low[:, 0]) + np.ptp(high[:, 0]) + np.ptp(high[:, 2]) < 1e-9
         without_gaps = (np.sort(low[:, 1])[1:] <= np.sort(high[:, 1])[:-1] + 1e-9).all()
-        behind = low[:, 2].max() - standoff_m <= max(box.low_high[1, 2] for box in self.body)
-        return bool(same_front and without_gaps and behind)
+        outermost = np.array([high[:, 0].max(), reach_m + high[:, 1].max(), low[:, 2].max() - standoff_m])
+        innermost = np.array([low[:, 0].min(), -outermost[1], low[:, 2].min()])
+        body = [box.low_high for box in self.body]
+        behind = [(first <= innermost).all() and (last >= outermost).all() for first, last in body]
+        return bool(flush and without_gaps and any(behind))

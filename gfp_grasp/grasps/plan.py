@@ -33,7 +33,7 @@ def plan_grasps(
 
     - squareness: cosine between closing axis and contact normal, the worse side, from the edge of the cone to 1;
     - carrying: the load that the pads hold by friction and torque against gravity and a sway to any side, as a share of
-      what they hold with the centre of mass between them (`wrench.carried_share`);
+      a weight that hangs between them (`wrench.carried_share`);
     - realness: mean over the contact patch of 1 where the surface was observed, exp(-sigma / doubt_length_m) elsewhere;
     - room: 1/2 to 1 as the gap around the gripper grows to good_clearance_m;
     - approach: 1 from straight above, side_preference on the level;
@@ -143,8 +143,10 @@ def _quality(
     steepness = np.clip(-T[:, :3, 2] @ up, 0.0, 1.0)
     approach = config.side_preference + (1.0 - config.side_preference) * steepness
     depth = np.where(poses.at_tip, config.tip_preference, 1.0)
-    sight = _sight(T, opening, completion, config)
-    return square * carried * contacts.realness * roominess * approach * depth * sight
+    quality = square * carried * contacts.realness * roominess * approach * depth
+    good = np.flatnonzero(quality > 0)
+    quality[good] *= _sight(T[good], opening[good], completion, config)
+    return quality
 
 
 def _centre_of(mesh: trimesh.Trimesh) -> np.ndarray:
@@ -153,7 +155,7 @@ def _centre_of(mesh: trimesh.Trimesh) -> np.ndarray:
 
 def _sight(T: np.ndarray, opening: np.ndarray, completion: Graspable, config: GraspConfig) -> np.ndarray:
     viewpoint = completion.detection.cloud.viewpoint
-    if viewpoint is None:
+    if viewpoint is None or config.hidden_preference == 1:
         return np.ones(len(T))
     hidden = hidden_share(T, opening, completion.mesh, viewpoint, config.gripper)
     return 1.0 - (1.0 - config.hidden_preference) * hidden

@@ -48,22 +48,29 @@ class Surface:
 
 
 def surface_of(completion: Graspable, config: GraspConfig, rng: np.random.Generator) -> Surface:
-    """Samples of the completed mesh."""
+    """`config.num_points` samples of the completed mesh."""
     mesh = completion.mesh
     points, normals, face = sample_surface(mesh, config.num_points, rng)
-    odds = np.where(completion.observed, 1.0, np.exp(-completion.sigma_m / config.doubt_length_m))
-    return Surface(points, normals, odds[mesh.faces[face]].mean(axis=1))
+    return Surface(points, normals, _odds(completion, config)[mesh.faces[face]].mean(axis=1))
 
 
 def obstacle_of(completion: Graspable, surface: Surface, config: GraspConfig, rng: np.random.Generator) -> np.ndarray:
     """Points (k, 3) m that the gripper keeps clear of, in no order: of the mesh, its parts, and what stands about."""
-    parts = completion.parts
+    parts = [part for part in completion.parts if part.area > 0]
     areas = np.array([part.area for part in parts])
     counts = np.ceil(config.num_points / 2 * areas / areas.sum()).astype(int) if len(parts) else []
     of_parts = [sample_surface(part, int(n), rng)[0] for part, n in zip(parts, counts, strict=True)]
-    corners = [np.asarray(part.vertices) for part in parts]
+    corners = [np.asarray(part.vertices) for part in completion.parts]
     neighbours = _neighbours(completion.detection, config)
     return rng.permutation(np.concatenate([surface.points, *of_parts, *corners, neighbours]))
+
+
+def _odds(completion: Graspable, config: GraspConfig) -> np.ndarray:
+    """Odds (v,) that a vertex is where it was completed; none where nobody says how sure it is."""
+    if np.isinf(config.doubt_length_m):
+        return np.ones(len(completion.observed))
+    guessed = np.exp(-np.nan_to_num(completion.sigma_m, nan=np.inf) / config.doubt_length_m)
+    return np.where(completion.observed, 1.0, guessed)
 
 
 def _neighbours(detection: Detection, config: GraspConfig) -> np.ndarray:

@@ -15,17 +15,18 @@ def carried_share(
     friction: float,
     sway: float,
 ) -> np.ndarray:
-    """The load that a grasp holds, as a share of what the same jaws hold with the centre of mass between them.
+    """The load that a grasp holds, as a share of what its jaws hold of a weight that hangs between them.
 
     The pads' limit surface is taken for an ellipsoid (Howe and Cutkosky 1996, "Practical force-motion models for
     sliding manipulation"): a force f across the closing axis and torques t slip once (f / (2 mu N))^2 + sum (t_i /
-    (lever_i N))^2 is 1, N the grip force. The pull is gravity with a sway to any side; the worst side counts.
+    (lever_i N))^2 is 1, N the grip force. A force along the closing axis is left to the jaws' own strength. The pull is
+    gravity with a sway to each of eight sides; the worst counts.
 
     Args:
-        T_world_gripper: (p, 4, 4).
-        levers_m: (p, 3) of the pads against turns about the gripper's axes, for a unit of grip force.
+        T_world_gripper: (p, 4, 4), m.
+        levers_m: (p, 3) m of the pads against turns about the gripper's axes, for a unit of grip force.
         centre: (3,) m of mass.
-        up: (3,) unit.
+        up: (3,) unit, against gravity.
         friction: Coulomb coefficient mu.
         sway: Sideways acceleration, as a share of gravity.
 
