@@ -3,6 +3,9 @@
 import importlib.util
 import os
 import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -12,6 +15,35 @@ from gfp_grasp.journal import Journal, write_whole
 from gfp_grasp.parallel import ATTEMPTS, pmap
 
 HAS_RAY = importlib.util.find_spec("ray") is not None
+
+
+RUN = """
+import sys, test_parallel
+from gfp_grasp.parallel import pmap
+list(pmap(test_parallel.signs_in_and_waits, [sys.argv[1]] * 2, workers=2))
+"""
+
+
+def signs_in_and_waits(folder: str) -> None:
+    (Path(folder) / f"worker_{os.getpid()}").touch()
+    time.sleep(300)
+
+
+def _is_running(pid: int) -> bool:
+    """A process that has ended and was not waited for, by an init that waits for none, has ended."""
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except OSError:
+        return False
+
+
+def _within_seconds(seconds: float, condition) -> bool:
+    end = time.monotonic() + seconds
+    while not condition():
+        if time.monotonic() > end:
+            return False
+        time.sleep(0.1)
+    return True
 
 
 def square(number: int) -> int:
@@ -57,6 +89,19 @@ def test_results_come_in_the_order_of_the_jobs_and_are_kept_as_they_come(workers
 
 def test_the_job_of_a_killed_worker_is_done_again(tmp_path):
     assert pmap(killed_once, [(i, str(tmp_path)) for i in range(8)], workers=2) == [i * i for i in range(8)]
+
+
+@pytest.mark.skipif(not Path("/proc/self/stat").exists(), reason="no /proc to see processes in")
+def test_no_worker_outlives_an_owner_that_is_killed(tmp_path):
+    owner = subprocess.Popen(
+        [sys.executable, "-c", RUN, str(tmp_path)], cwd=Path(__file__).parent, stderr=subprocess.DEVNULL
+    )
+    assert _within_seconds(60, lambda: len(list(tmp_path.glob("worker_*"))) == 2)
+    workers = [int(path.name.removeprefix("worker_")) for path in tmp_path.glob("worker_*")]
+    assert all(map(_is_running, workers))
+    owner.kill()
+    owner.wait()
+    assert _within_seconds(20, lambda: not any(map(_is_running, workers)))
 
 
 def test_a_job_that_kills_every_worker_costs_no_other_its_result():
