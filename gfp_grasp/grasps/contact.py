@@ -34,6 +34,10 @@ class Contacts:
     realness: np.ndarray
     levers_m: np.ndarray
 
+    def take(self, which: np.ndarray) -> Contacts:
+        """Those of some of the grasps."""
+        return Contacts(*(array[which] for array in vars(self).values()))
+
 
 def find_contacts(
     T_world_gripper: np.ndarray,

@@ -1,5 +1,7 @@
 """From a completed shape to ranked grasps."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass
 
 import numpy as np
@@ -82,7 +84,7 @@ class _Poses:
     width: np.ndarray
     at_tip: np.ndarray
 
-    def take(self, which: np.ndarray) -> "_Poses":
+    def take(self, which: np.ndarray) -> _Poses:
         return _Poses(self.T[which], self.width[which], self.at_tip[which])
 
 
@@ -115,7 +117,7 @@ def _close_on(poses: _Poses, surface: Surface, config: GraspConfig) -> tuple[_Po
     )
     width = contacts.high_m - contacts.low_m
     fits = np.isfinite(width) & (width <= config.max_width_m)
-    contacts = Contacts(*(array[fits] for array in vars(contacts).values()))
+    contacts = contacts.take(fits)
     T = poses.T[fits].copy()
     T[:, :3, 3] += ((contacts.low_m + contacts.high_m) / 2)[:, None] * T[:, :3, 1]
     return _Poses(T, width[fits], poses.at_tip[fits]), contacts
