@@ -1,0 +1,165 @@
+"""The Generic Primitive of a class, and one that is fitted to a detection."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+import trimesh
+
+from gfp_grasp.errors import InvalidMesh
+from gfp_grasp.types.arrays import checked_matrix, checked_vector, freeze
+
+OUTSIDE, INSIDE, HANDLE = 0, 1, 2
+REGION_NAMES = ("outside", "inside", "handle")
+
+
+@dataclass(frozen=True, eq=False)
+class Symmetry:
+    """Symmetry of a primitive in its own frame.
+
+    Attributes:
+        axis: (3,) unit, axis of rotation through the origin.
+        order: Fold of the rotation; math.inf for a body of revolution, 1 for none.
+        mirror_normal: (3,) unit normal of a mirror plane through the origin, or None.
+    """
+
+    axis: np.ndarray
+    order: float
+    mirror_normal: np.ndarray | None = None
+
+    def __post_init__(self) -> None:
+        freeze(self, "axis", checked_vector(self.axis, 3, "axis", InvalidMesh))
+        if self.mirror_normal is not None:
+            freeze(self, "mirror_normal", checked_vector(self.mirror_normal, 3, "mirror_normal", InvalidMesh))
+
+
+@dataclass(frozen=True, eq=False)
+class ConvexPart:
+    """A convex polyhedron: vertices (p, 3) m, faces (q, 3), outward."""
+
+    vertices: np.ndarray
+    faces: np.ndarray
+
+    def __post_init__(self) -> None:
+        freeze(self, "vertices", np.asarray(self.vertices, dtype=np.float64))
+        freeze(self, "faces", np.asarray(self.faces, dtype=np.int64))
+
+    def to_trimesh(self) -> trimesh.Trimesh:
+        """A fresh, writable trimesh of it."""
+        return trimesh.Trimesh(self.vertices.copy(), self.faces.copy(), process=False)
+
+
+@dataclass(frozen=True, eq=False)
+class GenericPrimitive:
+    """The Generic Primitive (GP) of a class: a mean mesh with modes of shape.
+
+    A member of the class is T_world_object @ (scale * (vertices + sum_i coefficients_i * modes_i)).
+
+    Attributes:
+        category: Class name.
+        kind: Name of a part of the class that is unlike the rest of it, as cups with stems are; "" is the class itself.
+        vertices: (v, 3) float64 m, mean mesh in the primitive's frame: z up, axis through x = y = 0, base at z = 0,
+            a handle towards +x.
+        faces: (f, 3) int, watertight, outward.
+        modes: (k, v, 3) float64 m per unit coefficient; a coefficient of one is one standard deviation.
+        explained: (k,) share of the variance of each mode.
+        log_scale_cov: (3, 3) covariance of the natural logarithm of scale, whose mean is zero.
+        coefficient_samples: (s, k + 3) coefficients and log scales of the members it was built from.
+        symmetry: Rotation axis, order and mirror plane.
+        up: (3,) upright axis, (0, 0, 1).
+        regions: (v,) uint8, OUTSIDE, INSIDE or HANDLE.
+        parts: Convex parts of the mean mesh, in the same frame, p at the finest level.
+        part_merges: (p - 1, 2) which of them become one first, see `collision.merging`; empty where that is not stored.
+        part_errors_m: (p, 2) m, mean and 95 % distance between the mean mesh and its parts where 1 .. p are left; or
+            empty.
+        twin: For a primitive with a handle, the same body without it; its vertices are the first `twin_map`.
+        twin_map: (v_twin,) index of each of the twin's vertices in `vertices`, or None.
+        licence: Of the meshes it was built from.
+        card: How it was built: command, seed, data, metrics.
+    """
+
+    category: str
+    vertices: np.ndarray
+    faces: np.ndarray
+    modes: np.ndarray
+    explained: np.ndarray
+    log_scale_cov: np.ndarray
+    coefficient_samples: np.ndarray
+    symmetry: Symmetry
+    up: np.ndarray
+    regions: np.ndarray
+    parts: tuple[ConvexPart, ...] = ()
+    twin: GenericPrimitive | None = None
+    twin_map: np.ndarray | None = None
+    licence: str = ""
+    card: Mapping[str, object] = field(default_factory=dict)
+    kind: str = ""
+    part_merges: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
+    part_errors_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
+
+    def __post_init__(self) -> None:
+        vertices = np.asarray(self.vertices, dtype=np.float64)
+        modes = np.asarray(self.modes, dtype=np.float64)
+        if vertices.ndim != 2 or vertices.shape[1] != 3:
+            raise InvalidMesh(f"primitive vertices have shape {vertices.shape}; (v, 3) is expected")
+        if modes.ndim != 3 or modes.shape[1:] != vertices.shape:
+            raise InvalidMesh(f"modes have shape {modes.shape}; (k, {len(vertices)}, 3) is expected")
+        freeze(self, "vertices", vertices)
+        freeze(self, "modes", modes)
+        freeze(self, "faces", np.asarray(self.faces, dtype=np.int64))
+        freeze(self, "explained", np.asarray(self.explained, dtype=np.float64))
+        freeze(self, "log_scale_cov", checked_matrix(self.log_scale_cov, (3, 3), "log_scale_cov", InvalidMesh))
+        freeze(self, "coefficient_samples", np.asarray(self.coefficient_samples, dtype=np.float64))
+        freeze(self, "up", checked_vector(self.up, 3, "up", InvalidMesh))
+        freeze(self, "regions", np.asarray(self.regions, dtype=np.uint8))
+        freeze(self, "part_merges", np.asarray(self.part_merges, dtype=np.int64))
+        freeze(self, "part_errors_m", np.asarray(self.part_errors_m, dtype=np.float64))
+        if self.twin_map is not None:
+            freeze(self, "twin_map", np.asarray(self.twin_map, dtype=np.int64))
+
+    @property
+    def name(self) -> str:
+        """Class and kind, as "cup.stemmed"; of the class itself, the class."""
+        return f"{self.category}.{self.kind}" if self.kind else self.category
+
+    def shape(self, coefficients: np.ndarray, scale: np.ndarray) -> np.ndarray:
+        """Vertices (v, 3) m in the primitive's frame for (k,) coefficients and (3,) scale."""
+        return (self.vertices + np.tensordot(coefficients, self.modes, axes=1)) * scale
+
+
+@dataclass(frozen=True, eq=False)
+class FittedPrimitive:
+    """A primitive with pose, scale and modes fitted to one detection.
+
+    Attributes:
+        primitive: The primitive that was fitted.
+        T_world_object: (4, 4) rigid.
+        scale: (3,) along the primitive's own axes.
+        coefficients: (k,) in standard deviations.
+        residual_m: Trimmed mean distance of the observed points to the fitted surface.
+        hypothesis: "upright", "upside_down" or "lying": how the object rests on the support.
+        margin: Cost of the second best hypothesis over the best, at least 1; inf where there was one only.
+        cost: Negative log posterior up to a constant, comparable between primitives fitted to the same evidence.
+    """
+
+    primitive: GenericPrimitive
+    T_world_object: np.ndarray
+    scale: np.ndarray
+    coefficients: np.ndarray
+    residual_m: float
+    hypothesis: str = "upright"
+    margin: float = float("inf")
+    cost: float = 0.0
+
+    def __post_init__(self) -> None:
+        freeze(self, "T_world_object", checked_matrix(self.T_world_object, (4, 4), "T_world_object", InvalidMesh))
+        freeze(self, "scale", checked_vector(self.scale, 3, "scale", InvalidMesh))
+        num_modes = len(self.primitive.modes)
+        freeze(self, "coefficients", checked_vector(self.coefficients, num_modes, "coefficients", InvalidMesh))
+
+    def vertices_world(self) -> np.ndarray:
+        """(v, 3) m, world frame."""
+        local = self.primitive.shape(self.coefficients, self.scale)
+        return local @ self.T_world_object[:3, :3].T + self.T_world_object[:3, 3]
