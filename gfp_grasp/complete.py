@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from threadpoolctl import threadpool_limits
 
 from gfp_grasp.arguments import checked_direction, checked_height, checked_place
+from gfp_grasp.clouds import order_points
 from gfp_grasp.collision import CollisionConfig
 from gfp_grasp.completion import Completion
 from gfp_grasp.deform import DeformConfig, deform
@@ -26,7 +27,6 @@ from gfp_grasp.observation import (
     mark_observed,
     move_detection,
     move_view,
-    order_points,
 )
 from gfp_grasp.primitives import list_primitives, load_kinds, load_primitive
 from gfp_grasp.register import FitConfig, fit_best, gather_evidence, handle_is_seen

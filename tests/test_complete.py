@@ -8,11 +8,12 @@ import trimesh
 
 from gfp_grasp import Completion, complete_scene, complete_to_mesh
 from gfp_grasp.camera import SensorModel, apply_sensor, cloud_of, intrinsics, render_mesh_view, sample_viewpoint
+from gfp_grasp.clouds import order_points
 from gfp_grasp.complete import CompleteConfig, _sureness
 from gfp_grasp.errors import GfpGraspError, InvalidCloud, InvalidOption, InvalidView, TooFewPoints, UnknownCategory
 from gfp_grasp.meshes import crossing_faces, load_mesh
 from gfp_grasp.metrics import chamfer_m, visible_surface
-from gfp_grasp.observation import canonical_frame, mark_observed, order_points
+from gfp_grasp.observation import canonical_frame, mark_observed
 from gfp_grasp.shapes import make_shape, split_seeds
 from gfp_grasp.transforms import apply_T, look_at, make_T, rotation_about
 from gfp_grasp.types import DepthImage, Detection, OrientedBox, PointCloud

@@ -9,11 +9,11 @@ import torch
 import trimesh
 
 from gfp_grasp import complete_scene, complete_to_mesh
+from gfp_grasp.clouds import distinct_points, order_points
 from gfp_grasp.complete import Completion, _detect
 from gfp_grasp.deform import DeformConfig
 from gfp_grasp.detect import clean_cloud, detect_single
 from gfp_grasp.errors import InvalidCloud, InvalidOption, InvalidView, TooFewPoints
-from gfp_grasp.observation import distinct_points, order_points
 from gfp_grasp.transforms import apply_T, look_at, make_T, random_rotation
 from gfp_grasp.types import CompletedShape, DepthImage
 

@@ -14,7 +14,7 @@ ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "gfp_grasp"
 ROWS = (
     ("errors", "types", "assets", "transforms", "parallel", "journal", "plugins"),
-    ("camera", "meshes", "metrics", "shapes", "collision"),
+    ("camera", "clouds", "meshes", "metrics", "shapes", "collision"),
     ("arguments", "observation", "primitives", "detect", "register", "deform", "grasps"),
     ("complete", "completers", "completion", "export", "scenes", "datasets", "captures"),
     ("envs", "train"),

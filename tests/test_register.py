@@ -3,11 +3,11 @@ import pytest
 import trimesh
 from toy_primitive import random_cup, see, toy_cup_primitive
 
+from gfp_grasp.clouds import estimate_normals, thin
 from gfp_grasp.errors import FitDiverged, InvalidOption, TooFewPoints
 from gfp_grasp.meshes import sample_surface
 from gfp_grasp.metrics import chamfer_m
 from gfp_grasp.register import FitConfig, ModesConfig, fit_primitive, gather_evidence, icp_config, pcrnet_config
-from gfp_grasp.register.evidence import estimate_normals, thin
 from gfp_grasp.transforms import apply_T, make_T, rotation_about
 from gfp_grasp.types import Detection, OrientedBox, PointCloud, SupportPlane
 

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import KDTree
 
+from gfp_grasp.clouds import estimate_normals, thin
 from gfp_grasp.meshes import vertex_normals
-from gfp_grasp.register.evidence import estimate_normals, thin
 from gfp_grasp.types import HANDLE, Detection, FittedPrimitive
 
 # A carried point speaks only where nothing was observed, and near the fit: elsewhere the symmetry is broken.

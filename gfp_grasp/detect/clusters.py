@@ -11,6 +11,7 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 from sklearn.cluster import DBSCAN
 
+from gfp_grasp.clouds import voxel_grid
 from gfp_grasp.detect.concavity import concavity
 from gfp_grasp.detect.merging import MergeConfig, merge_pieces
 from gfp_grasp.errors import InvalidOption
@@ -126,16 +127,6 @@ def cluster_points(points: np.ndarray, gap_m: float) -> np.ndarray:
     spacing = float(np.median(KDTree(points).query(points[:: -(-len(points) // 2000)], k=2)[0][:, 1]))
     found = DBSCAN(eps=max(gap_m, 3.0 * spacing), min_samples=_NEIGHBOURS).fit(points).labels_
     return (found + 1).astype(np.int32)
-
-
-def voxel_grid(points: np.ndarray, voxel_m: float) -> tuple[np.ndarray, np.ndarray]:
-    """Mean point of each occupied cell (c, 3), and the cell of each point (n,)."""
-    cells = np.floor((points - points.min(axis=0)) / voxel_m).astype(np.int64)
-    extent = cells.max(axis=0) + 1
-    keys = (cells[:, 0] * extent[1] + cells[:, 1]) * extent[2] + cells[:, 2]
-    _, cell_of, counts = np.unique(keys, return_inverse=True, return_counts=True)
-    sums = np.column_stack([np.bincount(cell_of, points[:, k]) for k in range(3)])
-    return sums / counts[:, None], cell_of
 
 
 def _jump(depth: np.ndarray, config: ClusterConfig) -> np.ndarray:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import KDTree
+
+from gfp_grasp.clouds import local_axes
 
 LEAST_M, MOST_M = 0.0005, 0.006  # what depth cameras at arm's length show
 _NEIGHBOURS = 16
@@ -27,9 +28,7 @@ def estimate_sigma(points: np.ndarray, viewpoint: np.ndarray | None = None) -> f
     if len(points) < 2 * _NEIGHBOURS:
         return LEAST_M
     chosen = points[:: -(-len(points) // _SAMPLE)]
-    _, near = KDTree(points).query(chosen, k=_NEIGHBOURS)
-    local = points[near] - points[near].mean(axis=1, keepdims=True)
-    variance, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", local, local))
+    variance, axes = local_axes(points, chosen, num_neighbours=_NEIGHBOURS)
     # Three degrees of freedom go into the plane.
     residual = np.sqrt(np.maximum(variance[:, 0], 0.0) / (_NEIGHBOURS - 3))
     if viewpoint is not None:

@@ -9,7 +9,8 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from gfp_grasp.camera import project
-from gfp_grasp.detect.clusters import cluster_points, label_points, voxel_grid
+from gfp_grasp.clouds import voxel_grid
+from gfp_grasp.detect.clusters import cluster_points, label_points
 from gfp_grasp.detect.detector import UP, DetectConfig, make_detection, picture_support
 from gfp_grasp.detect.support import find_support
 from gfp_grasp.detect.validate import MAX_OBJECT_M, MIN_POINTS, robust_extents

@@ -6,8 +6,9 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.spatial import ConvexHull, KDTree, QhullError
+from scipy.spatial import ConvexHull, QhullError
 
+from gfp_grasp.clouds import estimate_normals
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.transforms import rotation_between
 from gfp_grasp.types import SupportPlane
@@ -190,10 +191,8 @@ def _share_facing_along(normal: np.ndarray, sample: np.ndarray, on: np.ndarray) 
     """Share of the plane's points whose own neighbourhood faces along its normal: a slab cut out of a body does not."""
     chosen = np.flatnonzero(on)
     chosen = chosen[:: -(-len(chosen) // _NUM_NORMALS)]
-    _, near = KDTree(sample).query(sample[chosen], k=_NORMAL_NEIGHBOURS)
-    local = sample[near] - sample[near].mean(axis=1, keepdims=True)
-    _, axes = np.linalg.eigh(np.einsum("nki,nkj->nij", local, local))
-    return float((np.abs(axes[:, :, 0] @ normal) > np.cos(np.radians(25.0))).mean())
+    normals = estimate_normals(sample, sample[chosen], None, num_neighbours=_NORMAL_NEIGHBOURS)
+    return float((np.abs(normals @ normal) > np.cos(np.radians(25.0))).mean())
 
 
 def _outline(ground: np.ndarray) -> ConvexHull | None:

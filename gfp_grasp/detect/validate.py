@@ -6,8 +6,8 @@ import warnings
 
 import numpy as np
 
+from gfp_grasp.clouds import distinct_points
 from gfp_grasp.errors import InvalidCloud, TooFewPoints
-from gfp_grasp.observation import distinct_points
 
 MIN_POINTS = 30  # fewer say nothing about a shape; a mug 2 m away still has about 200
 MAX_EXTENT_M = 5.0  # a table top with its surroundings is smaller; a mug in millimetres is not

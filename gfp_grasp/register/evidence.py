@@ -8,6 +8,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import KDTree
 
+from gfp_grasp.clouds import estimate_normals, thin
 from gfp_grasp.errors import TooFewPoints
 from gfp_grasp.transforms import apply_T, invert_T, look_at
 from gfp_grasp.types import DepthImage, Detection
@@ -149,59 +150,6 @@ def gather_evidence(detection: Detection, *, num_points: int = 400) -> Evidence:
     )
 
 
-def thin(points: np.ndarray, count: int) -> np.ndarray:
-    """At most about count points, at most one to a cell of a grid, whatever the order they come in.
-
-    Args:
-        points: (n, 3) m.
-        count: Aimed at; the grid is refined until the number of cells is near it.
-
-    Returns:
-        (m, 3) of the given points, m <= 1.2 * count, each the nearest to its cell's mean.
-    """
-    if len(points) <= count:
-        return points
-    origin = points.min(axis=0)
-    low, high = 1e-5, float(np.ptp(points, axis=0).max()) + 1e-9
-    size, cells = high / np.sqrt(count), np.empty(0)
-    for _ in range(18):
-        if not low < size < high:
-            size = np.sqrt(low * high)
-        cells = _cell_ids(points, origin, size)
-        num_cells = len(np.unique(cells))
-        if count <= num_cells <= 1.2 * count:
-            break
-        low, high = (low, size) if num_cells < count else (size, high)
-        size *= np.sqrt(num_cells / (1.1 * count))  # as a surface has it
-    else:
-        cells = _cell_ids(points, origin, high)
-    _, inverse, counts = np.unique(cells, return_inverse=True, return_counts=True)
-    means = np.column_stack([np.bincount(inverse, points[:, axis]) for axis in range(3)]) / counts[:, None]
-    # To 10 nm: the two points of a cell are equally near its mean, and rounding must not choose between them.
-    distance = np.round(np.linalg.norm(points - means[inverse], axis=1), 8)
-    least = np.full(len(counts), np.inf)
-    np.minimum.at(least, inverse, distance)
-    near = np.flatnonzero(distance == least[inverse])
-    x, y, z = points[near].T
-    order = near[np.lexsort((z, y, x, inverse[near]))]
-    return points[order[np.searchsorted(inverse[order], np.arange(len(counts)))]]
-
-
-def estimate_normals(
-    cloud: np.ndarray, at: np.ndarray, viewpoint: np.ndarray | None, *, num_neighbours: int = 16
-) -> np.ndarray:
-    """Unit normals (m, 3) of a cloud (n, 3) at some of its points (m, 3), towards the viewpoint where there is one."""
-    count = min(num_neighbours, len(cloud))
-    neighbours = cloud[KDTree(cloud).query(at, k=count)[1]]
-    centred = neighbours - neighbours.mean(axis=1, keepdims=True)
-    _, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", centred, centred))
-    normals = vectors[:, :, 0]
-    if viewpoint is not None:
-        away = np.einsum("ni,ni->n", normals, viewpoint - at) < 0
-        normals = np.where(away[:, None], -normals, normals)
-    return normals
-
-
 def _lowest(points: np.ndarray, viewpoint: np.ndarray | None, up: np.ndarray) -> float:
     """Height, m, down to which an object goes of which these points were seen.
 
@@ -213,11 +161,6 @@ def _lowest(points: np.ndarray, viewpoint: np.ndarray | None, up: np.ndarray) ->
     sight = viewpoint - points.mean(axis=0)
     sine = float(np.clip(sight @ up / (np.linalg.norm(sight) + 1e-12), 0.0, 1.0))
     return seen - _FOOT_M * sine
-
-
-def _cell_ids(points: np.ndarray, origin: np.ndarray, size: float) -> np.ndarray:
-    cell = np.floor((points - origin) / size).astype(np.int64)
-    return (cell[:, 0] * 2_000_003 + cell[:, 1]) * 2_000_003 + cell[:, 2]
 
 
 def _silhouette_of_view(view: DepthImage, mask: np.ndarray) -> Silhouette:

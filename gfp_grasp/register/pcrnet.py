@@ -22,7 +22,8 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor, nn
 
 from gfp_grasp.assets import data_file
-from gfp_grasp.register.evidence import Evidence, thin
+from gfp_grasp.clouds import thin
+from gfp_grasp.register.evidence import Evidence
 from gfp_grasp.register.state import PoseShape
 from gfp_grasp.register.surface import surface_samples
 from gfp_grasp.transforms import rotation_between

@@ -18,10 +18,10 @@ import numpy as np
 import trimesh
 
 from gfp_grasp.camera import SensorModel, apply_sensor, cloud_of, intrinsics, render_mesh_view, sample_viewpoint
+from gfp_grasp.clouds import thin
 from gfp_grasp.datasets import read_dataset
 from gfp_grasp.errors import InvalidMesh, InvalidOption
 from gfp_grasp.parallel import pmap
-from gfp_grasp.register.evidence import thin
 from gfp_grasp.scenes import ObjectSource
 from gfp_grasp.shapes import split_seeds
 from gfp_grasp.transforms import make_T, random_rotation, rotation_about
