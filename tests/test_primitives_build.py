@@ -264,7 +264,7 @@ def test_broken_primitive_files_are_refused_by_name(thin_primitive, tmp_path):
 
 
 def test_a_kind_keeps_its_name_on_disk(thin_primitive, tmp_path):
-    path = save_primitive(replace(thin_primitive, kind="thin"), tmp_path)
+    path = save_primitive(replace(thin_primitive, kind="thin", spec=None), tmp_path)
     assert path.name == f"{thin_primitive.category}.thin.safetensors"
     assert read_primitive(path).kind == "thin"
 

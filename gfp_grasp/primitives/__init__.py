@@ -2,13 +2,15 @@
 
 from gfp_grasp.primitives.build import BuildConfig, build_primitive
 from gfp_grasp.primitives.figures import PrimitiveReport, measure_primitive
+from gfp_grasp.primitives.library import PrimitiveLibrary, list_primitives, load_kinds, load_primitive
 from gfp_grasp.primitives.parting import with_parts
 from gfp_grasp.primitives.source import build_from_folder, build_from_shapes
-from gfp_grasp.primitives.store import list_primitives, load_kinds, load_primitive, read_primitive, save_primitive
+from gfp_grasp.primitives.store import read_primitive, save_primitive
 from gfp_grasp.primitives.whole import WholeConfig, fit_whole_surface
 
 __all__ = [
     "BuildConfig",
+    "PrimitiveLibrary",
     "PrimitiveReport",
     "WholeConfig",
     "build_from_folder",

@@ -63,7 +63,9 @@ def build_from_shapes(
     config = config or BuildConfig(licence=_LICENCE_OF_SHAPES)
     meshes = [make_shape(family, number).mesh for number in train[:members]]
     primitive = build_primitive(meshes, family, config=config, seed=seed, progress=progress)
-    primitive = replace(primitive, kind=kind, twin=primitive.twin and replace(primitive.twin, kind=kind))
+    primitive = replace(
+        primitive, kind=kind, spec=None, twin=primitive.twin and replace(primitive.twin, kind=kind, spec=None)
+    )
     figures = measure_primitive(
         primitive, [make_shape(family, number).mesh for number in val[:held_out]], progress=progress
     )

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -13,9 +12,8 @@ import trimesh
 from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 
-from gfp_grasp.assets import data_dir
-from gfp_grasp.errors import AssetMissing, UnknownCategory, UnreadableFile
-from gfp_grasp.types import ConvexPart, GenericPrimitive, Symmetry
+from gfp_grasp.errors import AssetMissing, GfpGraspError, InvalidOption, UnreadableFile
+from gfp_grasp.types import CategorySpec, ConvexPart, GenericPrimitive, Symmetry
 
 _ARRAYS = ("vertices", "faces", "modes", "explained", "log_scale_cov", "coefficient_samples", "up", "regions")
 
@@ -43,45 +41,11 @@ def save_primitive(primitive: GenericPrimitive, folder: str | Path) -> Path:
         "licence": primitive.licence,
         "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
         "shape_sha256": _shape_sha256(primitive),
+        "spec": primitive.spec.as_dict(),
     }
     card |= {key: value for key, value in primitive.card.items() if key not in (*card, "kind")}
     path.with_suffix(".json").write_text(json.dumps(card, indent=1) + "\n", encoding="utf-8")
     return path
-
-
-@cache
-def load_primitive(name: str) -> GenericPrimitive:
-    """A primitive that ships with the package, of a class ("cup") or of a kind of it ("cup.stemmed"); read once.
-
-    Raises:
-        UnknownCategory: No such primitive; the message lists those on offer.
-    """
-    if name not in _names():
-        raise UnknownCategory(
-            f"no primitive for {name!r}: choose one of {', '.join(list_primitives()) or 'none'}, a kind of one that "
-            "`gfp-grasp gps list` names, or build it (`gfp-grasp gps build`)"
-        )
-    return read_primitive(data_dir("gps") / f"{name}.safetensors")
-
-
-def list_primitives() -> tuple[str, ...]:
-    """Classes whose primitives ship with the package, in alphabetical order."""
-    return tuple(name for name in _names() if "." not in name)
-
-
-@cache
-def load_kinds(category: str) -> tuple[GenericPrimitive, ...]:
-    """The primitive of a class and then those of its kinds; read once.
-
-    Raises:
-        UnknownCategory: No such class.
-    """
-    kinds = (name for name in _names() if name.startswith(f"{category}."))
-    return (load_primitive(category), *(load_primitive(name) for name in kinds))
-
-
-def _names() -> tuple[str, ...]:
-    return tuple(sorted(path.name.removesuffix(".safetensors") for path in data_dir("gps").glob("*.safetensors")))
 
 
 def read_primitive(path: str | Path) -> GenericPrimitive:
@@ -92,15 +56,11 @@ def read_primitive(path: str | Path) -> GenericPrimitive:
         UnreadableFile: It is not what save_primitive writes, or the card's sha256 is another file's.
     """
     path = Path(path)
-    card_path = path.with_suffix(".json")
-    for part in (path, card_path):
-        if not part.is_file():
-            raise AssetMissing(f"{part} is missing: build the primitive again, or reinstall gfp_grasp")
+    card = _read_card(path)
     try:
-        card = json.loads(card_path.read_text(encoding="utf-8"))
         arrays = load_file(path)
-    except (SafetensorError, json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise UnreadableFile(f"{path} is not a primitive with its card ({error}): build it again") from error
+    except SafetensorError as error:
+        raise UnreadableFile(f"{path} is not a primitive ({error}): build it again") from error
     digest = hashlib.sha256(path.read_bytes()).hexdigest()
     if card.get("sha256") != digest:
         raise UnreadableFile(
@@ -110,6 +70,48 @@ def read_primitive(path: str | Path) -> GenericPrimitive:
         return _from_arrays(arrays, "", card)
     except KeyError as error:
         raise UnreadableFile(f"{path} lacks {error}: it is no primitive, or one of an older version") from error
+    except GfpGraspError as error:
+        raise UnreadableFile(f"{path} or its card is malformed: {error}") from error
+
+
+def read_spec(path: str | Path) -> CategorySpec:
+    """What is known of a class, from the card beside a primitive's arrays; from the arrays where the card has none.
+
+    Raises:
+        AssetMissing: The file or its card is not there.
+        UnreadableFile: The card is not what save_primitive writes.
+    """
+    path = Path(path)
+    card = _read_card(path)
+    return read_primitive(path).spec if "spec" not in card else _spec_of(card, path)
+
+
+def _read_card(path: Path) -> dict:
+    card_path = path.with_suffix(".json")
+    for part in (path, card_path):
+        if not part.is_file():
+            raise AssetMissing(f"{part} is missing: build the primitive again, or reinstall gfp_grasp")
+    try:
+        card = json.loads(card_path.read_text(encoding="utf-8"))
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise UnreadableFile(f"{card_path} is not a card ({error}): build the primitive again") from error
+    if not isinstance(card, dict):
+        raise UnreadableFile(f"{card_path} holds a {type(card).__name__}; an object with named fields is expected")
+    name, own = path.name.removesuffix(".safetensors"), _name_in(card)
+    if own != name:
+        raise UnreadableFile(f"{card_path} is the card of {own!r}: its name has to be that of its class")
+    return card
+
+
+def _name_in(card: dict) -> str:
+    return ".".join(str(card[key]) for key in ("category", "kind") if card.get(key))
+
+
+def _spec_of(card: dict, path: Path) -> CategorySpec:
+    try:
+        return CategorySpec.from_dict(card["spec"])
+    except InvalidOption as error:
+        raise UnreadableFile(f"{path.with_suffix('.json')}: {error}") from error
 
 
 def _shape_sha256(primitive: GenericPrimitive) -> str:
@@ -133,6 +135,8 @@ def _arrays_of(primitive: GenericPrimitive, prefix: str) -> dict[str, np.ndarray
     arrays[prefix + "part_merges"] = np.ascontiguousarray(primitive.part_merges)
     arrays[prefix + "part_errors_m"] = np.ascontiguousarray(primitive.part_errors_m)
     arrays[prefix + "part_faces"] = np.concatenate([np.zeros((0, 3), dtype=np.int64), *(p.faces for p in parts)])
+    if len(primitive.prototypes):
+        arrays[prefix + "prototypes"] = np.ascontiguousarray(primitive.prototypes)
     if primitive.twin is not None and primitive.twin_map is not None:
         arrays[prefix + "twin_map"] = np.ascontiguousarray(primitive.twin_map)
         arrays.update(_arrays_of(primitive.twin, prefix + "twin."))
@@ -159,4 +163,6 @@ def _from_arrays(arrays: dict[str, np.ndarray], prefix: str, card: dict) -> Gene
         twin_map=arrays[prefix + "twin_map"] if has_twin else None,
         licence=card["licence"],
         card=card,
+        spec=CategorySpec.from_dict(card["spec"]) if "spec" in card else None,  # pyright: ignore[reportArgumentType]
+        prototypes=arrays.get(prefix + "prototypes", np.zeros((0, 0))),
     )

@@ -4,6 +4,13 @@ World is z up, metres; camera frames are OpenCV's (x right, y down, z forward). 
 read-only afterwards.
 """
 
+from gfp_grasp.types.category import (
+    DATASETS,
+    KEEP_RULES,
+    RESTS,
+    CategorySpec,
+    OptionalPart,
+)
 from gfp_grasp.types.grasping import (
     REASONS,
     Grasp,
@@ -26,6 +33,7 @@ from gfp_grasp.types.primitive import (
     FittedPrimitive,
     GenericPrimitive,
     Symmetry,
+    default_spec,
 )
 from gfp_grasp.types.result import (
     CollisionMesh,
@@ -33,11 +41,15 @@ from gfp_grasp.types.result import (
 )
 
 __all__ = [
+    "DATASETS",
     "HANDLE",
     "INSIDE",
+    "KEEP_RULES",
     "OUTSIDE",
     "REASONS",
     "REGION_NAMES",
+    "RESTS",
+    "CategorySpec",
     "CollisionMesh",
     "CompletedShape",
     "ConvexPart",
@@ -46,10 +58,12 @@ __all__ = [
     "FittedPrimitive",
     "GenericPrimitive",
     "Grasp",
+    "OptionalPart",
     "OrientedBox",
     "Outcome",
     "PointCloud",
     "SupportPlane",
     "Symmetry",
     "TrueObject",
+    "default_spec",
 ]

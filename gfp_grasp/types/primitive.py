@@ -8,11 +8,14 @@ from dataclasses import dataclass, field
 import numpy as np
 import trimesh
 
-from gfp_grasp.errors import InvalidMesh
+from gfp_grasp.errors import InvalidMesh, InvalidOption
 from gfp_grasp.types.arrays import checked_matrix, checked_vector, freeze
+from gfp_grasp.types.category import CategorySpec, OptionalPart, default_density
 
 OUTSIDE, INSIDE, HANDLE = 0, 1, 2
 REGION_NAMES = ("outside", "inside", "handle")
+# An open vessel has this share of its vertices inside at least; a lid that is sunk a little has less.
+_HOLLOW_SHARE = 0.08
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +81,8 @@ class GenericPrimitive:
         twin_map: (v_twin,) index of each of the twin's vertices in `vertices`, or None.
         licence: Of the meshes it was built from.
         card: How it was built: command, seed, data, metrics.
+        spec: What is known of the class beside its shape; None makes the default from the arrays above.
+        prototypes: (p, c) float32 embeddings of the members by which the classifier knows the class; (0, 0) for none.
     """
 
     category: str
@@ -98,6 +103,8 @@ class GenericPrimitive:
     kind: str = ""
     part_merges: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
     part_errors_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
+    spec: CategorySpec = None  # pyright: ignore[reportAssignmentType]
+    prototypes: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
 
     def __post_init__(self) -> None:
         vertices = np.asarray(self.vertices, dtype=np.float64)
@@ -118,6 +125,14 @@ class GenericPrimitive:
         freeze(self, "part_errors_m", np.asarray(self.part_errors_m, dtype=np.float64))
         if self.twin_map is not None:
             freeze(self, "twin_map", np.asarray(self.twin_map, dtype=np.int64))
+        prototypes = np.asarray(self.prototypes, dtype=np.float32)
+        if prototypes.ndim != 2 or not np.isfinite(prototypes).all():
+            raise InvalidMesh(f"prototypes have shape {prototypes.shape}; finite (p, c) is expected")
+        freeze(self, "prototypes", prototypes)
+        if self.spec is None:
+            object.__setattr__(self, "spec", default_spec(self))
+        elif self.spec.category != self.name:
+            raise InvalidOption(f"the spec is of {self.spec.category!r}, the primitive is of {self.name!r}")
 
     @property
     def name(self) -> str:
@@ -127,6 +142,28 @@ class GenericPrimitive:
     def shape(self, coefficients: np.ndarray, scale: np.ndarray) -> np.ndarray:
         """Vertices (v, 3) m in the primitive's frame for (k,) coefficients and (3,) scale."""
         return (self.vertices + np.tensordot(coefficients, self.modes, axes=1)) * scale
+
+    def member_extents_m(self) -> np.ndarray:
+        """Extents (s, 3) m of the members it was built from, along its own axes; of its mean where none are stored."""
+        samples = self.coefficient_samples.reshape(-1, len(self.modes) + 3)
+        if not len(samples):
+            return np.ptp(self.vertices, axis=0)[None]
+        shapes = (self.shape(row[:-3], np.exp(row[-3:])) for row in samples)
+        return np.array([np.ptp(shape, axis=0) for shape in shapes])
+
+
+def default_spec(primitive: GenericPrimitive) -> CategorySpec:
+    """What a primitive itself tells of its class: sizes of the members, hollow or solid, and which parts it has."""
+    extents = primitive.member_extents_m()
+    hollow = bool((primitive.regions == INSIDE).mean() >= _HOLLOW_SHARE) if len(primitive.regions) else False
+    return CategorySpec(
+        category=primitive.name,
+        parent=primitive.category if primitive.kind else None,
+        size_range_m=(tuple(extents.min(axis=0)), tuple(extents.max(axis=0))),
+        hollow=hollow,
+        density_kg_m3=default_density(hollow=hollow),
+        optional_parts=(OptionalPart("handle"),) if (primitive.regions == HANDLE).any() else (),
+    )
 
 
 @dataclass(frozen=True, eq=False)
