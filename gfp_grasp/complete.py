@@ -11,14 +11,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import trimesh
 from numpy.typing import ArrayLike
-from threadpoolctl import threadpool_limits
 
 from gfp_grasp.arguments import checked_direction, checked_height, checked_place
 from gfp_grasp.clouds import order_points
 from gfp_grasp.collision import CollisionConfig
 from gfp_grasp.completion import Completion
 from gfp_grasp.deform import DeformConfig, deform
-from gfp_grasp.detect import clean_cloud, detect_objects, detect_single
+from gfp_grasp.detect import Detector, clean_cloud, detect_single, get_detector
 from gfp_grasp.errors import FitDiverged, InvalidOption, InvalidView, UnknownCategory
 from gfp_grasp.meshes import crossing_faces
 from gfp_grasp.observation import (
@@ -28,6 +27,7 @@ from gfp_grasp.observation import (
     move_detection,
     move_view,
 )
+from gfp_grasp.parallel import one_thread
 from gfp_grasp.primitives import list_primitives, load_kinds, load_primitive
 from gfp_grasp.register import FitConfig, fit_best, gather_evidence, handle_is_seen
 from gfp_grasp.transforms import apply_T, invert_T
@@ -79,6 +79,7 @@ class CompleteConfig:
             raise InvalidOption(f"handle_rule is {self.handle_rule!r}; 'seen' or 'always' is expected")
 
 
+@one_thread()
 def complete_to_mesh(
     cloud: object,
     *,
@@ -133,14 +134,21 @@ def complete_to_mesh(
     return replace(completion, shape=replace(completion.shape, timings_s=timings))
 
 
+@one_thread()
 def complete_scene(
-    image: DepthImage, *, up: ArrayLike | None = (0.0, 0.0, 1.0), config: CompleteConfig | None = None, seed: int = 0
+    image: DepthImage,
+    *,
+    up: ArrayLike | None = (0.0, 0.0, 1.0),
+    detector: str | Detector = "tabletop",
+    config: CompleteConfig | None = None,
+    seed: int = 0,
 ) -> tuple[Completion, ...]:
     """Complete every object of a depth picture, largest first.
 
     Args:
         image: Depth, m, with intrinsics and pose.
         up: (3,) normal of the support in the world frame; None estimates it.
+        detector: Name of a detector, see `gfp_grasp.detect.get_detector`, or a function like `detect_objects`.
         config: Switches.
         seed: Of every random choice.
 
@@ -151,12 +159,14 @@ def complete_scene(
         NothingDetected: No object stands out from the support.
         FitDiverged: No primitive fits any object.
         InvalidView: Not a DepthImage.
+        UnknownDetector: No detector of that name.
     """
     _check_options(config, seed)
     if not isinstance(image, DepthImage):
         raise InvalidView(f"image is a {type(image).__name__}; a gfp_grasp.types.DepthImage is expected")
     done, failure = [], None
-    for detection in detect_objects(image, up=checked_direction(up)):
+    detect = get_detector(detector) if isinstance(detector, str) else detector
+    for detection in detect(image, up=checked_direction(up)):
         try:
             done.append(complete_detection(detection, config=config, seed=seed))
         except FitDiverged as error:
@@ -167,6 +177,7 @@ def complete_scene(
     return tuple(done)
 
 
+@one_thread()
 def complete_detection(detection: Detection, *, config: CompleteConfig | None = None, seed: int = 0) -> Completion:
     """Complete a detected object: registration of the likely classes, choice, deformation.
 
@@ -180,12 +191,12 @@ def complete_detection(detection: Detection, *, config: CompleteConfig | None = 
         FitDiverged: No primitive could be fitted.
     """
     config = config or CompleteConfig()
+    if not detection.scores and not detection.category:
+        detection = _classified(detection)
     if _sureness(detection.scores) < _SURE_SCORE:
         scores = ", ".join(f"{name} {score:.2f}" for name, score in detection.scores.items())
         warnings.warn(f"no known class is likely ({scores}); the best is completed all the same", stacklevel=2)
-    # The matrices are small: more threads of linear algebra than one wait for each other, on busy cores for seconds.
-    with threadpool_limits(limits=1):
-        return _complete(detection, config, seed)
+    return _complete(detection, config, seed)
 
 
 def _detect(
@@ -215,6 +226,14 @@ def _detect(
         category=category,
     )
     return replace(move_detection(found, T_world_level), view=view)
+
+
+def _classified(detection: Detection) -> Detection:
+    """The detection with the scores of the classes, which its detector did not give."""
+    from gfp_grasp.detect import classify  # torch is loaded where it is needed only
+
+    scores = classify(detection.cloud.points, detection.up, detection.support)
+    return replace(detection, category=max(scores, key=lambda name: scores[name]), scores=scores)
 
 
 def _sureness(scores: Mapping[str, float]) -> float:

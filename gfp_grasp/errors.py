@@ -53,6 +53,10 @@ class UnknownCompleter(InvalidOption):
     """A completer's name that is neither built in nor importable."""
 
 
+class UnknownDetector(InvalidOption):
+    """A detector's name that is neither built in nor importable."""
+
+
 class InvalidAction(GfpGraspError, ValueError):
     """An action that is not a finite vector of the action space."""
 

@@ -13,6 +13,7 @@ from gfp_grasp.deform.patches import UNIT_M, Patches, blend, make_patches
 from gfp_grasp.deform.settle import damp_until_solid, diffuse
 from gfp_grasp.deform.template import template_points
 from gfp_grasp.errors import InvalidOption
+from gfp_grasp.parallel import one_thread
 from gfp_grasp.transforms import apply_T, invert_T
 from gfp_grasp.types import Detection, FittedPrimitive
 
@@ -113,7 +114,7 @@ def _per_point(patches: Patches, fit: FittedPrimitive) -> tuple[np.ndarray, np.n
 
     network, known = load_network("patch"), knows("patch", fit.primitive)
     features = torch.tensor(fit_features(fit, known=known)[None], dtype=torch.float32)
-    with torch.inference_mode():
+    with one_thread(), torch.inference_mode():
         offsets, log_sigma, change = network(*(part[None] for part in patch_tensors(patches)), features)
     field = mode_field(fit, change[0].double().numpy(), known=known)
     offset = offsets[0].double().numpy()
@@ -131,7 +132,7 @@ def _paper(patches: Patches, config: DeformConfig) -> np.ndarray:
     network = load_network("paper-iterative" if config.method == "gfpnet-paper" else "paper-oneshot")
     source, _, template, *_ = patch_tensors(patches)
     iterations = config.iterations if config.method == "gfpnet-paper" else None
-    with torch.inference_mode():
+    with one_thread(), torch.inference_mode():
         return network(source, template, iterations=iterations).double().numpy()
 
 

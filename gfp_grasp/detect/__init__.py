@@ -4,7 +4,8 @@ from typing import TYPE_CHECKING
 
 from gfp_grasp.detect.box import upright_box
 from gfp_grasp.detect.clusters import ClusterConfig, label_picture, label_points
-from gfp_grasp.detect.detector import DetectConfig, detect_objects
+from gfp_grasp.detect.detector import DetectConfig, detect_objects, make_detection
+from gfp_grasp.detect.detectors import DETECTORS, Detector, get_detector
 from gfp_grasp.detect.merging import MergeConfig
 from gfp_grasp.detect.noise import estimate_sigma
 from gfp_grasp.detect.single import detect_single
@@ -15,8 +16,10 @@ if TYPE_CHECKING:
     from gfp_grasp.detect.classifier import classify
 
 __all__ = [
+    "DETECTORS",
     "ClusterConfig",
     "DetectConfig",
+    "Detector",
     "MergeConfig",
     "SupportConfig",
     "classify",
@@ -25,8 +28,10 @@ __all__ = [
     "detect_single",
     "estimate_sigma",
     "find_support",
+    "get_detector",
     "label_picture",
     "label_points",
+    "make_detection",
     "numbers_of",
     "upright_box",
 ]

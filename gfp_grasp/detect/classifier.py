@@ -15,6 +15,7 @@ from scipy.spatial import KDTree
 from torch import nn
 
 from gfp_grasp.assets import data_file
+from gfp_grasp.parallel import one_thread
 from gfp_grasp.transforms import rotation_between
 from gfp_grasp.types import SupportPlane
 
@@ -76,7 +77,7 @@ def classify(
     cloud = with_surface(sample_points(upright_points(points, up, support), POOL_POINTS, rng))
     cloud = sample_points(cloud, NUM_POINTS, rng)
     turned = np.stack([_turned(cloud, 2 * np.pi * k / _YAWS) for k in range(_YAWS)])
-    with torch.inference_mode():
+    with one_thread(), torch.inference_mode():
         logits = network(torch.from_numpy(features(turned)).to(device)) / temperature
         scores = torch.softmax(logits, dim=1).mean(dim=0).cpu().numpy().astype(np.float64)
     return dict(zip(classes, (scores / scores.sum()).tolist(), strict=True))

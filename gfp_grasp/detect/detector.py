@@ -12,6 +12,7 @@ from gfp_grasp.detect.clusters import ClusterConfig, label_picture, label_points
 from gfp_grasp.detect.noise import estimate_sigma
 from gfp_grasp.detect.support import SupportConfig, find_support
 from gfp_grasp.errors import InvalidOption, NothingDetected
+from gfp_grasp.parallel import one_thread
 from gfp_grasp.transforms import apply_T, invert_T
 from gfp_grasp.types import DepthImage, Detection, PointCloud, SupportPlane
 
@@ -43,6 +44,7 @@ class DetectConfig:
             raise InvalidOption(f"{self}: at least 1000 points and a positive width are expected")
 
 
+@one_thread()
 def detect_objects(
     image: DepthImage | PointCloud, *, up: np.ndarray | None = UP, config: DetectConfig = DetectConfig()
 ) -> tuple[Detection, ...]:
@@ -78,15 +80,26 @@ def picture_support(image: DepthImage, up: np.ndarray | None, config: DetectConf
 def make_detection(
     points: np.ndarray,
     *,
-    viewpoint: np.ndarray | None,
-    up: np.ndarray,
-    support: SupportPlane | None,
-    view: DepthImage | None,
-    mask: np.ndarray | None,
-    category: str | None,
-    config: DetectConfig,
+    viewpoint: np.ndarray | None = None,
+    up: np.ndarray = UP,
+    support: SupportPlane | None = None,
+    view: DepthImage | None = None,
+    mask: np.ndarray | None = None,
+    category: str | None = None,
+    config: DetectConfig = DetectConfig(),
 ) -> Detection:
-    """A detection of the points of one object: category, box, sensor noise."""
+    """A detection of the points of one object: class, box, sensor noise.
+
+    Args:
+        points: (n, 3) m, of this object only.
+        viewpoint: (3,) m, where the camera stood.
+        up: (3,) unit, the support's normal.
+        support: What it stands on.
+        view: The whole depth picture.
+        mask: (h, w) bool, its pixels in the view.
+        category: Its class; None names it, unless config.classify is False.
+        config: Switches.
+    """
     points = points[:: -(-len(points) // config.max_object_points)]
     scores = {category: 1.0} if category else {}
     if config.classify and not category:

@@ -15,6 +15,7 @@ from gfp_grasp.detect.detector import UP, DetectConfig, make_detection, picture_
 from gfp_grasp.detect.support import find_support
 from gfp_grasp.detect.validate import MAX_OBJECT_M, MIN_POINTS, robust_extents
 from gfp_grasp.errors import InvalidCloud, InvalidView, NothingDetected
+from gfp_grasp.parallel import one_thread
 from gfp_grasp.types import DepthImage, Detection, SupportPlane
 
 # Angles of a camera above the horizon that are tried where neither up nor a table is known.
@@ -29,6 +30,7 @@ _NEAR_M = 0.06  # clusters this near may be one object behind an occluder
 _VOXEL_M = 0.003
 
 
+@one_thread()
 def detect_single(
     points: np.ndarray,
     *,

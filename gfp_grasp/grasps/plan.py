@@ -15,6 +15,7 @@ from gfp_grasp.grasps.contact import Contacts, find_contacts
 from gfp_grasp.grasps.sight import hidden_share
 from gfp_grasp.grasps.surface import Graspable, Surface, obstacle_of, surface_of
 from gfp_grasp.grasps.wrench import carried_share
+from gfp_grasp.parallel import one_thread
 from gfp_grasp.types import Grasp, SupportPlane
 
 # The first look at a pose takes this many points; most poses end there.
@@ -23,6 +24,7 @@ _COARSE_POINTS = 300
 _SAME_M, _SAME_CLOSING, _SAME_APPROACH = 0.008, np.cos(np.deg2rad(15)), np.cos(np.deg2rad(25))
 
 
+@one_thread()
 def plan_grasps(
     completion: Graspable, num: int = 16, *, seed: int = 0, config: GraspConfig | None = None
 ) -> tuple[Grasp, ...]:

@@ -2,5 +2,6 @@
 
 from gfp_grasp.parallel.jobs import pmap
 from gfp_grasp.parallel.lost import ATTEMPTS
+from gfp_grasp.parallel.threads import one_thread
 
-__all__ = ["ATTEMPTS", "pmap"]
+__all__ = ["ATTEMPTS", "one_thread", "pmap"]

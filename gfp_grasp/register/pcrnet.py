@@ -23,6 +23,7 @@ from torch import Tensor, nn
 
 from gfp_grasp.assets import data_file
 from gfp_grasp.clouds import thin
+from gfp_grasp.parallel import one_thread
 from gfp_grasp.register.evidence import Evidence
 from gfp_grasp.register.state import PoseShape
 from gfp_grasp.register.surface import surface_samples
@@ -103,7 +104,7 @@ def correct_starts(states: list[PoseShape], primitive: GenericPrimitive, evidenc
     # Up is z in what the network was trained on.
     turn = _up_to_z(evidence.up)
     template, cloud = (torch.tensor(np.stack([i[k] for i in inputs]) @ turn.T, dtype=torch.float32) for k in (0, 1))
-    with torch.inference_mode():
+    with one_thread(), torch.inference_mode():
         R, t = load_pcrnet()(template, cloud)
     R, t = turn.T @ R.double().numpy() @ turn, t.double().numpy() @ turn
     moved = []
