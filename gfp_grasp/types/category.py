@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import asdict, dataclass, field, fields
 
 from gfp_grasp.errors import InvalidOption
@@ -60,7 +60,7 @@ class CategorySpec:
 
     category: str
     parent: str | None = None
-    size_range_m: tuple[tuple[float, float, float], tuple[float, float, float]] = ((0.01,) * 3, (1.0,) * 3)
+    size_range_m: tuple[tuple[float, float, float], tuple[float, float, float]] = ((0.01, 0.01, 0.01), (1.0, 1.0, 1.0))
     rests: Mapping[str, float] = field(default_factory=lambda: dict(_RESTS))
     hollow: bool = False
     density_kg_m3: tuple[float, float] = _SOLID_DENSITY
@@ -176,5 +176,5 @@ def _words(values: object, name: str) -> tuple[str, ...]:
     return tuple(str(value) for value in values)  # pyright: ignore[reportGeneralTypeIssues]
 
 
-def _listed(words: object) -> str:
-    return ", ".join(words)  # pyright: ignore[reportArgumentType]
+def _listed(words: Iterable[str]) -> str:
+    return ", ".join(words)
