@@ -28,7 +28,7 @@ from gfp_grasp.observation import (
     move_view,
 )
 from gfp_grasp.parallel import one_thread
-from gfp_grasp.primitives import list_primitives, load_kinds, load_primitive
+from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.register import FitConfig, fit_best, gather_evidence, handle_is_seen
 from gfp_grasp.transforms import apply_T, invert_T
 from gfp_grasp.types import (
@@ -44,11 +44,6 @@ if TYPE_CHECKING:
 # Below this the best class is an opinion, not a finding: of held-out objects of the classes 2 % are below it, and real
 # boxes, cans, bowls and plates are.
 _SURE_SCORE = 0.8
-# To be torn between these is no doubt of that kind: they differ by a handle, which may be out of sight.
-_ALIKE = ({"cup", "mug"},)
-# How much more a kind has to explain than its class, negative log odds: of the procedural cups and bottles each kind
-# is 6 to 14 %.
-_KIND_COST = 2.5
 
 
 @dataclass(frozen=True)
@@ -56,6 +51,7 @@ class CompleteConfig:
     """Switches of a completion.
 
     Attributes:
+        library: The classes that there are; those that ship by default.
         fit: Registration of a primitive.
         deform: Deformation of the fit.
         rival_share: A class whose score is at least this share of the best class's is fitted too, and the better fit
@@ -65,6 +61,7 @@ class CompleteConfig:
         collision: Budget of the convex parts, which are made at first access.
     """
 
+    library: PrimitiveLibrary = field(default_factory=PrimitiveLibrary.shipped)
     fit: FitConfig = field(default_factory=FitConfig)
     deform: DeformConfig = field(default_factory=DeformConfig)
     rival_share: float = 0.05
@@ -73,6 +70,8 @@ class CompleteConfig:
     collision: CollisionConfig = field(default_factory=CollisionConfig)
 
     def __post_init__(self) -> None:
+        if not isinstance(self.library, PrimitiveLibrary):
+            raise InvalidOption(f"library is a {type(self.library).__name__}; a PrimitiveLibrary is expected")
         if not 0 < self.rival_share <= 1:
             raise InvalidOption(f"rival_share is {self.rival_share}; a number in (0, 1] is expected")
         if self.handle_rule not in ("seen", "always"):
@@ -121,7 +120,7 @@ def complete_to_mesh(
         FitDiverged: No primitive could be fitted.
     """
     _check_options(config, seed)
-    _check_category(category)
+    _check_category(category, config)
     if view is not None and not isinstance(view, DepthImage):
         raise InvalidView(f"view is a {type(view).__name__}; a gfp_grasp.types.DepthImage is expected")
     place, direction = checked_place(viewpoint), checked_direction(up)
@@ -193,7 +192,7 @@ def complete_detection(detection: Detection, *, config: CompleteConfig | None = 
     config = config or CompleteConfig()
     if not detection.scores and not detection.category:
         detection = _classified(detection)
-    if _sureness(detection.scores) < _SURE_SCORE:
+    if _sureness(detection.scores, config.library) < _SURE_SCORE:
         scores = ", ".join(f"{name} {score:.2f}" for name, score in detection.scores.items())
         warnings.warn(f"no known class is likely ({scores}); the best is completed all the same", stacklevel=2)
     return _complete(detection, config, seed)
@@ -236,9 +235,11 @@ def _classified(detection: Detection) -> Detection:
     return replace(detection, category=max(scores, key=lambda name: scores[name]), scores=scores)
 
 
-def _sureness(scores: Mapping[str, float]) -> float:
-    """Score of the best class, those that are alike counting together; 1 where no class was asked for."""
-    together = [sum(score for name, score in scores.items() if name in group) for group in _ALIKE]
+def _sureness(scores: Mapping[str, float], library: PrimitiveLibrary) -> float:
+    """Score of the best class, together with those it is easily taken for; 1 where no class was asked for."""
+    together = [
+        sum(scores.get(n, 0.0) for n in (name, *library.spec(name).alike)) for name in scores if name in library
+    ]
     return max([*scores.values(), *together]) if scores else 1.0
 
 
@@ -269,24 +270,24 @@ def _complete(detection: Detection, config: CompleteConfig, seed: int) -> Comple
 
 
 def _best_fit(detection: Detection, config: CompleteConfig) -> FittedPrimitive:
-    evidence = gather_evidence(detection)
+    evidence, library = gather_evidence(detection), config.library
     candidates = []
-    for name in _candidates(detection.scores, detection.category, config.rival_share):
+    for name in _candidates(detection.scores, detection.category, config):
         odds = -np.log(max(detection.scores.get(name, 1.0), 1e-6))
-        primitives = load_kinds(name) if config.kinds else (load_primitive(name),)
-        candidates += [(primitive, odds + (_KIND_COST if primitive.kind else 0.0)) for primitive in primitives]
+        primitives = library.members_of(name) if config.kinds else (library.primitive(name),)
+        candidates += [(primitive, odds + primitive.spec.cost) for primitive in primitives]
     fit = fit_best(evidence, candidates, config=config.fit)
     if fit.primitive.twin is not None and config.handle_rule == "seen" and not handle_is_seen(fit, evidence):
         fit = _without_handle(fit)
     return fit
 
 
-def _candidates(scores: Mapping[str, float], category: str, rival_share: float) -> Sequence[str]:
-    offered = {name: score for name, score in scores.items() if name in list_primitives()}
+def _candidates(scores: Mapping[str, float], category: str, config: CompleteConfig) -> Sequence[str]:
+    offered = {name: score for name, score in scores.items() if name in config.library.categories}
     if not offered:
         return [category]
     best = max(offered.values())
-    return sorted((name for name, score in offered.items() if score >= rival_share * best), key=lambda n: -offered[n])
+    return sorted((n for n, score in offered.items() if score >= config.rival_share * best), key=lambda n: -offered[n])
 
 
 def _without_handle(fit: FittedPrimitive) -> FittedPrimitive:
@@ -306,9 +307,10 @@ def _solid(fit: FittedPrimitive) -> FittedPrimitive:
     return replace(fit, coefficients=np.zeros_like(coefficients))
 
 
-def _check_category(category: str | None) -> None:
-    if category is not None and category not in list_primitives():
-        raise UnknownCategory(f"there is no primitive of {category!r}; there are {', '.join(list_primitives())}")
+def _check_category(category: str | None, config: CompleteConfig | None) -> None:
+    known = (config or CompleteConfig()).library.categories
+    if category is not None and category not in known:
+        raise UnknownCategory(f"there is no primitive of {category!r}; there are {', '.join(known)}")
 
 
 def _check_options(config: object, seed: object) -> None:

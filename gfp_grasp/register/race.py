@@ -13,7 +13,7 @@ from gfp_grasp.errors import FitDiverged
 from gfp_grasp.register.config import FitConfig
 from gfp_grasp.register.evidence import Evidence
 from gfp_grasp.register.modes import judge, refine
-from gfp_grasp.register.starts import HYPOTHESIS_COST, starts
+from gfp_grasp.register.starts import starts
 from gfp_grasp.register.state import ModesConfig, PoseShape
 from gfp_grasp.types import GenericPrimitive
 
@@ -142,7 +142,7 @@ def _finished(race: Race, evidence: Evidence, config: FitConfig) -> Race:
 
 def total_cost(state: PoseShape) -> float:
     """Cost of a state with the odds of its hypothesis."""
-    return state.cost + HYPOTHESIS_COST[state.hypothesis]
+    return state.cost + state.rest_cost
 
 
 def blocking_cost(state: PoseShape, primitive: GenericPrimitive, evidence: Evidence, config: ModesConfig) -> float:

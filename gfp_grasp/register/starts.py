@@ -12,8 +12,6 @@ from gfp_grasp.register.state import PoseShape
 from gfp_grasp.transforms import rotation_about, rotation_between
 from gfp_grasp.types import GenericPrimitive
 
-# Negative log odds of how things rest on tables; ours, from the share of each in common table scenes, not measured.
-HYPOTHESIS_COST = {"upright": 0.0, "upside_down": 4.0, "lying": 6.0}
 _STANDING_SIGMA_RAD = np.deg2rad(1.0)
 _LYING_SIGMA_RAD = np.deg2rad(15.0)
 _HANDLE_YAWS = 8
@@ -23,10 +21,11 @@ _CUT = 0.5  # cosine from which on a side counts as the one that is cut off
 def starts(primitive: GenericPrimitive, evidence: Evidence, hypotheses: tuple[str, ...]) -> list[PoseShape]:
     """Starts for each hypothesis, from the box of the points and the direction they were seen from.
 
-    The hidden side is placed by the seen width: an object is about as deep as it is wide.
+    The hidden side is placed by the seen width: an object is about as deep as it is wide. A way of resting that the
+    class never has is left out, unless the class has none of those asked for.
     """
     found = []
-    for hypothesis in hypotheses:
+    for hypothesis in [way for way in hypotheses if way in primitive.spec.rests] or hypotheses:
         if hypothesis == "lying":
             found += [_lying(primitive, evidence, log) for log in _logs(evidence)]
             continue
@@ -171,6 +170,7 @@ def _state(
         axis_world=R[:, 2],
         axis_sigma_rad=float(axis_sigma_rad),
         hypothesis=hypothesis,
+        rest_cost=primitive.spec.rest_costs().get(hypothesis, 0.0),
     )
 
 

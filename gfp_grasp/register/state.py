@@ -71,6 +71,7 @@ class PoseShape:
         axis_world: (3,) where the hypothesis says that the primitive's upright axis points.
         axis_sigma_rad: How far the axis may turn from it.
         hypothesis: Its name.
+        rest_cost: Negative log odds of the hypothesis, from the card of the class.
         cost: Negative log posterior, up to a constant.
         residual_m: Trimmed mean distance of the points across the surface.
     """
@@ -82,6 +83,7 @@ class PoseShape:
     axis_world: np.ndarray
     axis_sigma_rad: float
     hypothesis: str
+    rest_cost: float = 0.0
     cost: float = np.inf
     residual_m: float = np.inf
 
