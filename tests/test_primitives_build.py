@@ -13,8 +13,6 @@ from gfp_grasp.errors import AssetMissing, BuildFailed, InvalidMesh, InvalidOpti
 from gfp_grasp.meshes import crossing_faces
 from gfp_grasp.primitives import (
     BuildConfig,
-    build_from_folder,
-    build_from_shapes,
     build_primitive,
     fit_whole_surface,
     measure_primitive,
@@ -29,6 +27,7 @@ from gfp_grasp.primitives.remesh import RemeshConfig, refine, remesh
 from gfp_grasp.primitives.surface import surface_distance_m
 from gfp_grasp.primitives.template import choose_template
 from gfp_grasp.shapes import make_shape, split_seeds
+from gfp_grasp.train import build_from_folder, build_from_shapes
 from gfp_grasp.transforms import random_rotation
 from gfp_grasp.types import HANDLE, INSIDE
 

@@ -45,7 +45,8 @@ def build(
     seed: Seed = 0,
 ) -> None:
     """Build the primitive of any class from a set of its meshes, and measure it on some that are held out."""
-    from gfp_grasp.primitives import BuildConfig, build_from_folder, build_from_shapes, save_primitive
+    from gfp_grasp.primitives import BuildConfig, save_primitive
+    from gfp_grasp.train import build_from_folder, build_from_shapes
 
     progress = track(f"primitive of {category}")
     if meshes is None:

@@ -1,10 +1,10 @@
 """Generic Primitives: building them from meshes of a class, measuring them, loading the ones that ship."""
 
-from gfp_grasp.primitives.build import BuildConfig, build_primitive
+from gfp_grasp.primitives.build import BuildConfig, Progress, build_primitive
 from gfp_grasp.primitives.figures import PrimitiveReport, measure_primitive
 from gfp_grasp.primitives.library import PrimitiveLibrary, list_primitives, load_kinds, load_primitive
 from gfp_grasp.primitives.parting import with_parts
-from gfp_grasp.primitives.source import build_from_folder, build_from_shapes
+from gfp_grasp.primitives.pose import bring_into_one_pose
 from gfp_grasp.primitives.store import read_primitive, save_primitive
 from gfp_grasp.primitives.whole import WholeConfig, fit_whole_surface
 
@@ -12,9 +12,9 @@ __all__ = [
     "BuildConfig",
     "PrimitiveLibrary",
     "PrimitiveReport",
+    "Progress",
     "WholeConfig",
-    "build_from_folder",
-    "build_from_shapes",
+    "bring_into_one_pose",
     "build_primitive",
     "fit_whole_surface",
     "list_primitives",

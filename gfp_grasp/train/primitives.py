@@ -10,9 +10,7 @@ import trimesh
 
 from gfp_grasp.errors import GfpGraspError, InvalidOption, UnknownCategory
 from gfp_grasp.meshes import load_mesh, make_solid
-from gfp_grasp.primitives.build import BuildConfig, Progress, build_primitive
-from gfp_grasp.primitives.figures import measure_primitive
-from gfp_grasp.primitives.pose import bring_into_one_pose
+from gfp_grasp.primitives import BuildConfig, Progress, bring_into_one_pose, build_primitive, measure_primitive
 from gfp_grasp.shapes import FAMILIES, make_shape, split_seeds
 from gfp_grasp.types import GenericPrimitive
 
