@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 from gfp_grasp.bench.ablation import AblationConfig, bench_ablation
-from gfp_grasp.bench.chart import write_chart, write_curves
 from gfp_grasp.bench.completion import CompletionBench, bench_completion
 from gfp_grasp.bench.methods import BRIEF, METHODS, config_of
 from gfp_grasp.bench.speed import SIZES, bench_speed
 from gfp_grasp.bench.stability import bench_stability
 from gfp_grasp.bench.views import PROTOCOLS, in_sight, see
+from gfp_grasp.drawing import write_bars, write_curves
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.meshes import sample_surface
 from gfp_grasp.shapes import make_shape
@@ -70,7 +70,7 @@ def test_rows_say_whether_observed_and_sigma_are_honest():
 
 def test_charts_are_drawings_with_every_row(tmp_path: Path):
     rows = {c: {"gfpnet": {"cd_m": 0.004}, "a <b>": {"cd_m": 0.012}, "none": {"cd_m": None}} for c in ("cup", "all")}
-    words = _words(write_chart(rows, tmp_path / "rows.svg", title="Rows & columns"))
+    words = _words(write_bars(rows, tmp_path / "rows.svg", title="Rows & columns"))
     assert {"cup", "all", "gfpnet", "a <b>", "4.00", "12.00", "Rows & columns"} <= words
     assert "none" not in words
     words = _words(write_curves({"3 layers": [3.0, 2.0, 1.5]}, tmp_path / "lines.svg", title="T", axis="iterations"))

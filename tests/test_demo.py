@@ -16,12 +16,12 @@ from gfp_grasp.assets import data_dir
 from gfp_grasp.camera import intrinsics, project
 from gfp_grasp.captures import complete_capture, read_capture
 from gfp_grasp.demo import run_demo
-from gfp_grasp.demo.attempt import _FRAME_PX, _camera
+from gfp_grasp.demo.assets import CLUTTER, FILE, SINGLE, load_asset, pick_objects, read_parts, write_parts
+from gfp_grasp.demo.demo_scene import HEADINGS, DemoScene, figures_row
+from gfp_grasp.demo.jobs import table_frame
 from gfp_grasp.demo.page import write_page
-from gfp_grasp.demo.pictures import write_clip, write_depth
-from gfp_grasp.demo.props import CLUTTER, FILE, SINGLE, load_prop, pick_objects, read_parts, write_parts
-from gfp_grasp.demo.recorded import table_frame
-from gfp_grasp.demo.story import HEADINGS, Item, Story, gripper_mesh, row
+from gfp_grasp.drawing import Item, gripper_mesh, write_clip, write_depth
+from gfp_grasp.drawing.film import FRAME_PX, film_camera
 from gfp_grasp.metrics import completion_errors
 from gfp_grasp.scenes.cache import mesh_sha256
 from gfp_grasp.transforms import apply_T, make_T, random_rotation
@@ -29,52 +29,52 @@ from gfp_grasp.types import CollisionMesh, ConvexPart, Grasp, TrueObject
 
 
 @pytest.fixture(scope="module")
-def shown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, tuple[Story, ...]]:
+def shown(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, tuple[DemoScene, ...]]:
     """The shipped capture through the demonstration."""
     out = tmp_path_factory.mktemp("demo")
     return out, run_demo(out, recordings=(Path("sample"),))
 
 
 @pytest.mark.slow
-def test_sample_is_completed_near_its_truth_and_every_file_opens(shown: tuple[Path, tuple[Story, ...]]) -> None:
-    out, (story,) = shown
-    (item,) = story.items
+def test_sample_is_completed_near_its_truth_and_every_file_opens(shown: tuple[Path, tuple[DemoScene, ...]]) -> None:
+    out, (scene,) = shown
+    (item,) = scene.items
     assert item.completion.mesh.is_volume
     assert item.errors is not None
     assert item.errors.cd_m < 0.012
-    assert {path.suffix for path in story.folder.iterdir()} >= {".png", ".ply", ".glb", ".xml", ".json"}
-    for path in story.folder.glob("*.xml"):
+    assert {path.suffix for path in scene.folder.iterdir()} >= {".png", ".ply", ".glb", ".xml", ".json"}
+    for path in scene.folder.glob("*.xml"):
         assert mujoco.MjModel.from_xml_path(str(path)).nbody > 1  # pyright: ignore[reportAttributeAccessIssue]
-    for path in story.folder.glob("*.glb"):
+    for path in scene.folder.glob("*.glb"):
         assert trimesh.load_mesh(path).is_volume
     assert (out / "index.html").is_file()
 
 
 @pytest.mark.slow
-def test_page_holds_all_shapes_and_asks_nothing_of_a_network(shown: tuple[Path, tuple[Story, ...]]) -> None:
-    out, (story,) = shown
+def test_page_holds_all_shapes_and_asks_nothing_of_a_network(shown: tuple[Path, tuple[DemoScene, ...]]) -> None:
+    out, (scene,) = shown
     page = (out / "index.html").read_text(encoding="utf-8")
     assert not re.findall(r"(?:https?:)?//[a-z0-9.-]+\.[a-z]{2,}", page)
     assert not re.findall(r'(?:src|href)="(?!data:)', page)
-    found = re.search(r'<script type="application/json" id="stories">(.*?)</script>', page, re.DOTALL)
+    found = re.search(r'<script type="application/json" id="scenes">(.*?)</script>', page, re.DOTALL)
     assert found is not None
     (shapes,) = json.loads(found.group(1))
     (item,) = shapes["items"]
     vertices = np.frombuffer(base64.b64decode(item["completed"]["v"]), dtype="<f4").reshape(-1, 3)
-    whole = np.asarray(story.items[0].completion.mesh.vertices)  # the page turns it so that up is z
+    whole = np.asarray(scene.items[0].completion.mesh.vertices)  # the page turns it so that up is z
     np.testing.assert_allclose(_reach(vertices.astype(float)), _reach(whole), atol=1e-6)
     seen = np.frombuffer(base64.b64decode(item["completed"]["seen"]), dtype="u1")
-    np.testing.assert_array_equal(seen.astype(bool), story.items[0].completion.observed)
+    np.testing.assert_array_equal(seen.astype(bool), scene.items[0].completion.observed)
     parts = np.frombuffer(base64.b64decode(item["parts"]["part"]), dtype="<u2")
-    assert len(np.unique(parts)) == len(story.items[0].completion.parts)
+    assert len(np.unique(parts)) == len(scene.items[0].completion.parts)
 
 
 @pytest.mark.slow
-def test_names_cannot_break_out_of_the_page(shown: tuple[Path, tuple[Story, ...]]) -> None:
-    _, (story,) = shown
+def test_names_cannot_break_out_of_the_page(shown: tuple[Path, tuple[DemoScene, ...]]) -> None:
+    _, (scene,) = shown
     hostile = "</script><script>alert(1)</script>"
-    item = Item(hostile, story.items[0].completion)
-    page = write_page([Story(hostile, hostile, (item,), story.folder)], command=hostile, notes=[hostile])
+    item = Item(hostile, scene.items[0].completion)
+    page = write_page([DemoScene(hostile, hostile, (item,), scene.folder)], command=hostile, notes=[hostile])
     assert "<script>alert" not in page
 
 
@@ -83,18 +83,18 @@ def test_demo_of_its_own_scenes_completes_all_objects(tmp_path: Path) -> None:
     clutter, single = run_demo(tmp_path)
     assert len(clutter.items) >= len(CLUTTER)
     assert len(single.items) == len(SINGLE)
-    assert all(item.completion.mesh.is_volume for story in (clutter, single) for item in story.items)
-    for story in (clutter, single):
-        assert "depth.png" in story.pictures
-        for path in story.folder.glob("*.xml"):
+    assert all(item.completion.mesh.is_volume for scene in (clutter, single) for item in scene.items)
+    for scene in (clutter, single):
+        assert "depth.png" in scene.pictures
+        for path in scene.folder.glob("*.xml"):
             mujoco.MjModel.from_xml_path(str(path))  # pyright: ignore[reportAttributeAccessIssue]
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["mug_red", "bottle_mustard"])
 def test_demo_runs_on_real_captures(tmp_path: Path, name: str) -> None:
-    (story,) = run_demo(tmp_path, recordings=(real_data.folder() / "captures" / f"{name}.npz",))
-    (item,) = story.items
+    (scene,) = run_demo(tmp_path, recordings=(real_data.folder() / "captures" / f"{name}.npz",))
+    (item,) = scene.items
     assert item.completion.category == name.split("_")[0]
     assert item.completion.mesh.is_volume
     if item.truth is not None:
@@ -107,13 +107,13 @@ def test_shipped_parts_belong_to_the_demo_s_objects() -> None:
         assert mesh_sha256(source.load_mesh()) in shipped, f"{source.name} has changed: run `make quickstart`"
 
 
-def test_prop_with_shipped_parts_needs_no_decomposition(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_asset_with_shipped_parts_needs_no_decomposition(monkeypatch: pytest.MonkeyPatch) -> None:
     def never(*args: object, **kwargs: object) -> None:
         raise AssertionError("decomposed")
 
     monkeypatch.setattr("gfp_grasp.scenes.objects._decompose", never)
     (source,) = pick_objects(SINGLE)
-    assert len(load_prop(source).collision.parts) > 1
+    assert len(load_asset(source).collision.parts) > 1
 
 
 def test_parts_come_back_from_their_file(tmp_path: Path) -> None:
@@ -171,7 +171,7 @@ def test_table_frame_stands_the_recording_on_the_table() -> None:
     np.testing.assert_allclose(T[:3, :3] @ completions[0].detection.up, [0, 0, 1], atol=1e-9)
     assert abs(vertices[:, 2].min()) < 0.01
     np.testing.assert_allclose(vertices.min(axis=0)[:2], -vertices.max(axis=0)[:2], atol=1e-9)
-    assert len(row(Item("mug", completions[0]))) == len(HEADINGS)
+    assert len(figures_row(Item("mug", completions[0]))) == len(HEADINGS)
 
 
 def _reach(vertices: np.ndarray) -> np.ndarray:
@@ -184,8 +184,8 @@ def _reach(vertices: np.ndarray) -> np.ndarray:
 def test_the_film_shows_both_jaws_and_the_whole_lift(alone: bool, yaw_deg: int) -> None:
     closing = np.array([np.cos(np.radians(yaw_deg)), np.sin(np.radians(yaw_deg)), 0.0])
     R = np.column_stack([np.cross(closing, (0, 0, -1)), closing, (0, 0, -1)])
-    camera = _camera(Grasp(make_T(R, (0, 0, 0.1)), 0.06), alone=alone)
-    width, height = _FRAME_PX
+    camera = film_camera(Grasp(make_T(R, (0, 0, 0.1)), 0.06), alone=alone)
+    width, height = FRAME_PX
     jaws = 0.03 * np.array([closing, -closing]) + (0, 0, 0.1)
     lifted = np.concatenate([jaws, [[0, 0, 0.0], [0, 0, 0.1 + 0.2 + 0.16]]])
     pixels, _ = project(lifted, intrinsics(width, height, 35.0), camera)

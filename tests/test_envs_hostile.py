@@ -20,7 +20,7 @@ from gfp_grasp.envs.action import ActionCode
 from gfp_grasp.envs.world import World
 from gfp_grasp.errors import InvalidAction, InvalidMesh, InvalidOption, InvalidScene, UnreadableFile
 from gfp_grasp.scenes import load_objects
-from gfp_grasp.score import score
+from gfp_grasp.score import ScoreConfig, score
 from gfp_grasp.transforms import make_T
 from gfp_grasp.types import Grasp
 
@@ -120,7 +120,7 @@ def test_a_score_refuses_all_bad_files_before_it_begins(among_good_ones):
     for name, content, _ in HOSTILE[1:3]:
         path = among_good_ones(name, content)
     with pytest.raises(InvalidMesh, match=r"2 of 3 files.*cup__empty\.stl.*cup__faceless\.obj"):
-        score(path, ["mirror"], views=1, classes=("*",))
+        score(path, ["mirror"], config=ScoreConfig(views=1, classes=("*",)))
 
 
 def test_a_file_whose_name_is_all_mark_keeps_it(tmp_path):

@@ -6,11 +6,11 @@ import real_data
 import trimesh
 
 from gfp_grasp.bench.hollow import bench_hollow
+from gfp_grasp.bench.vessels import Inside, drop_marble, handle_hole, hangs, inside_of, tilt_deg
 from gfp_grasp.bench.views import see
 from gfp_grasp.collision import DecomposeConfig, decompose, hull
 from gfp_grasp.complete import complete_to_mesh
 from gfp_grasp.completion import Completion
-from gfp_grasp.envs.hollow import Inside, drop_marble, handle_hole, hangs, inside_of, tilt_deg
 from gfp_grasp.errors import InvalidMesh
 from gfp_grasp.meshes import load_mesh
 from gfp_grasp.primitives import load_primitive

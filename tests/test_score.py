@@ -8,13 +8,13 @@ from pathlib import Path
 import pytest
 import trimesh
 
-from gfp_grasp.attempts import attempt
 from gfp_grasp.errors import InvalidOption, UnknownCompleter
-from gfp_grasp.report import Report, Trial, mcnemar_p, wilson_interval
-from gfp_grasp.score import score
+from gfp_grasp.score import Report, ScoreConfig, ScoreRow, mcnemar_p, score, wilson_interval
+from gfp_grasp.score.rows import make_row
 from gfp_grasp.types import REASONS
 
 COMPLETERS = ("oracle", "mirror/top-down", "own_completers:upright_box", "own_completers:gives_up")
+ONE_VIEW = ScoreConfig(views=1, seed=5)
 
 
 @pytest.fixture(scope="module")
@@ -29,7 +29,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def report(folder):
-    return score(folder, COMPLETERS, views=1, seed=5)
+    return score(folder, COMPLETERS, config=ONE_VIEW)
 
 
 def without_timings(report):
@@ -44,7 +44,7 @@ def test_a_run_that_was_stopped_goes_on_where_it_was(folder, report, tmp_path):
     stopped = []
 
     def stop_after_three(trials, total):
-        assert total == len(report.trials)
+        assert total == len(report.rows)
         for trial in trials:
             stopped.append(trial)
             if len(stopped) == 3:
@@ -52,19 +52,19 @@ def test_a_run_that_was_stopped_goes_on_where_it_was(folder, report, tmp_path):
             yield trial
 
     with pytest.raises(KeyboardInterrupt):
-        score(folder, COMPLETERS, views=1, seed=5, journal=journal, progress=stop_after_three)
+        score(folder, COMPLETERS, config=ONE_VIEW, journal=journal, progress=stop_after_three)
     assert len(journal.read_text().splitlines()) == 4  # the settings and three trials
     left = []
-    again = score(folder, COMPLETERS, views=1, seed=5, journal=journal, progress=lambda t, n: (left.append(n), t)[1])
-    assert left == [len(report.trials) - 3]
+    again = score(folder, COMPLETERS, config=ONE_VIEW, journal=journal, progress=lambda t, n: (left.append(n), t)[1])
+    assert left == [len(report.rows) - 3]
     assert without_timings(again) == without_timings(report)
 
 
 def test_the_journal_of_another_seed_is_refused(folder, tmp_path):
     journal = tmp_path / "score.part.jsonl"
-    score(folder, ("oracle",), views=1, journal=journal)
+    score(folder, ("oracle",), config=ScoreConfig(views=1), journal=journal)
     with pytest.raises(InvalidOption, match="another run"):
-        score(folder, ("oracle",), views=1, seed=1, journal=journal)
+        score(folder, ("oracle",), config=ScoreConfig(views=1, seed=1), journal=journal)
 
 
 def test_what_the_gripper_cannot_take_hold_of_is_left_out_and_named(tmp_path):
@@ -72,26 +72,26 @@ def test_what_the_gripper_cannot_take_hold_of_is_left_out_and_named(tmp_path):
         mesh = trimesh.creation.cylinder(radius_m, 0.14, sections=32)
         mesh.apply_translation((0, 0, 0.07))
         mesh.export(tmp_path / f"{name}.ply")
-    found = score(tmp_path, ("oracle",), views=1, grasps=1)
+    found = score(tmp_path, ("oracle",), config=ScoreConfig(views=1, grasps=1))
     assert found.settings["ungraspable"] == ["stout"]
-    assert {trial.object for trial in found.trials} == {"slim"}
+    assert {row.object for row in found.rows} == {"slim"}
     (tmp_path / "bottle__slim.ply").unlink()
     with pytest.raises(InvalidOption, match="cannot take hold of any of stout"):
-        score(tmp_path, ("oracle",), views=1)
+        score(tmp_path, ("oracle",), config=ScoreConfig(views=1))
 
 
-def killed_at_first_trial(job):
+def killed_at_first_row(job):
     marker = Path(job.objects) / "was_here"
     if not marker.exists():
         marker.touch()
         os.kill(os.getpid(), signal.SIGKILL)
-    return attempt(job)
+    return make_row(job)
 
 
 @pytest.mark.slow
-def test_a_killed_worker_costs_no_trial(folder, report, monkeypatch):
-    monkeypatch.setattr("gfp_grasp.score.attempt", killed_at_first_trial)
-    again = score(folder, COMPLETERS, views=1, seed=5, workers=2)
+def test_a_killed_worker_costs_no_row(folder, report, monkeypatch):
+    monkeypatch.setattr("gfp_grasp.score.run.make_row", killed_at_first_row)
+    again = score(folder, COMPLETERS, config=ONE_VIEW, workers=2)
     assert (folder / "was_here").exists()
     assert without_timings(again) == without_timings(report)
 
@@ -103,7 +103,7 @@ def test_a_cluster_of_two_nodes_scores_the_same_trial_by_trial(folder, report, m
     cluster = utils.Cluster(initialize_head=True, head_node_args={"num_cpus": 1})
     try:
         cluster.add_node(num_cpus=1)
-        again = score(folder, COMPLETERS, views=1, seed=5, ray=cluster.address)
+        again = score(folder, COMPLETERS, config=ONE_VIEW, ray=cluster.address)
     finally:
         cluster.shutdown()
     assert without_timings(again) == without_timings(report)
@@ -111,7 +111,7 @@ def test_a_cluster_of_two_nodes_scores_the_same_trial_by_trial(folder, report, m
 
 def test_every_completer_meets_the_same_objects_and_views(report):
     met = {
-        name: [(t.object, t.view, t.episode_seed) for t in report.trials if t.completer == name] for name in COMPLETERS
+        name: [(t.object, t.view, t.episode_seed) for t in report.rows if t.completer == name] for name in COMPLETERS
     }
     assert all(rows == met["oracle"] for rows in met.values())
     assert [row[0] for row in met["oracle"]] == ["slim", "plain"]  # an anvil is of no class that can be completed
@@ -146,7 +146,7 @@ def test_the_json_has_the_promised_layout_and_no_path(report, folder):
 
 @pytest.mark.slow  # each worker imports everything afresh
 def test_the_same_score_on_two_workers_differs_in_timings_alone(report, folder):
-    again = score(folder, COMPLETERS, views=1, seed=5, workers=2)
+    again = score(folder, COMPLETERS, config=ONE_VIEW, workers=2)
     assert without_timings(again) == without_timings(report)
 
 
@@ -168,37 +168,40 @@ def test_the_report_is_written_and_tabled(report, tmp_path):
     ],
 )
 def test_a_planner_of_ones_own_costs_its_own_trials_at_most(folder, planner, reason, note):
-    report = score(folder, [f"oracle/own_completers:{planner}"], views=1, seed=5, limit=1)
-    assert [trial.reason for trial in report.trials] == [reason]
-    assert note in report.trials[0].note
+    report = score(folder, [f"oracle/own_completers:{planner}"], config=ScoreConfig(views=1, seed=5, limit=1))
+    assert [row.reason for row in report.rows] == [reason]
+    assert note in report.rows[0].note
 
 
 def test_classes_choose_the_objects(folder):
-    report = score(folder, ["own_completers:gives_up"], views=1, classes=("anvil",))
-    assert [trial.object for trial in report.trials] == ["heavy"]
-    everything = score(folder, ["own_completers:gives_up"], views=1, classes=("*",))
-    assert len(everything.trials) == 3
+    report = score(folder, ["own_completers:gives_up"], config=ScoreConfig(views=1, classes=("anvil",)))
+    assert [row.object for row in report.rows] == ["heavy"]
+    everything = score(folder, ["own_completers:gives_up"], config=ScoreConfig(views=1, classes=("*",)))
+    assert len(everything.rows) == 3
 
 
 @pytest.mark.parametrize(
     ("knobs", "error", "message"),
     [
-        ({"views": 0}, InvalidOption, "views is 0"),
-        ({"grasps": 0}, InvalidOption, "grasps is 0"),
-        ({"limit": 0}, InvalidOption, "limit is 0"),
         ({"completers": ()}, InvalidOption, "at least one"),
         ({"completers": ("mirror", "mirror")}, InvalidOption, "each but once"),
         ({"completers": ("mirror/magic",)}, InvalidOption, "no planner 'magic'.*antipodal"),
         ({"completers": ("mirror/own_completers:missing",)}, InvalidOption, "cannot be imported"),
         ({"completers": ("mirror/own_completers:__doc__",)}, InvalidOption, "is a str, not a function"),
-        ({"classes": ("teapot",)}, InvalidOption, "no object is of class teapot"),
+        ({"config": ScoreConfig(classes=("teapot",))}, InvalidOption, "no object is of class teapot"),
         ({"completers": ("magic",)}, UnknownCompleter, "magic"),
         ({"workers": -1}, InvalidOption, "workers"),
     ],
 )
 def test_what_cannot_be_scored_is_refused(folder, knobs, error, message):
     with pytest.raises(error, match=message):
-        score(folder, **{"completers": ("mirror",), "views": 1, **knobs})
+        score(folder, **{"completers": ("mirror",), **knobs})
+
+
+@pytest.mark.parametrize(("name", "value"), [("views", 0), ("grasps", 0), ("limit", 0), ("clutter", -1)])
+def test_a_config_of_nothing_is_refused_by_name(name, value):
+    with pytest.raises(InvalidOption, match=f"{name} is {value}"):
+        ScoreConfig(**{name: value})
 
 
 @pytest.mark.parametrize(
@@ -209,9 +212,9 @@ def test_wilson_intervals_are_those_of_the_tables(successes, attempts, low, high
     assert wilson_interval(successes, attempts) == pytest.approx((low, high), abs=1e-4)
 
 
-def trial(name: str, view: int, truth: bool, completed: bool, rank: int | None = None) -> Trial:
+def a_row(name: str, view: int, truth: bool, completed: bool, rank: int | None = None) -> ScoreRow:
     reasons = ["held" if held else "no_contact" for held in (truth, completed)]
-    return Trial(
+    return ScoreRow(
         object="a",
         category="cup",
         completer=name,
@@ -236,7 +239,7 @@ def trial(name: str, view: int, truth: bool, completed: bool, rank: int | None =
 
 
 def test_a_report_counts_each_world_by_itself():
-    row = Report({}, (trial("mirror", 0, False, True),)).completers()["mirror"]
+    row = Report({}, (a_row("mirror", 0, False, True),)).completers()["mirror"]
     assert (row["successes"], row["completed_world"]["successes"]) == (0, 1)
     assert (row["completed_world"]["precision"], row["completed_world"]["recall"]) == (0.0, None)
     assert row["cd_m"] == 0.01
@@ -244,7 +247,7 @@ def test_a_report_counts_each_world_by_itself():
 
 def test_precision_recall_and_the_best_few_are_counted():
     kinds = [(True, True, 1), (True, True, 1), (False, True, 3), (True, False, 1), (False, False, None)]
-    row = Report({}, tuple(trial("mirror", i, *kind) for i, kind in enumerate(kinds))).completers()["mirror"]
+    row = Report({}, tuple(a_row("mirror", i, *kind) for i, kind in enumerate(kinds))).completers()["mirror"]
     assert row["any_of_best"] == 4
     assert row["completed_world"]["precision"] == row["completed_world"]["recall"] == pytest.approx(2 / 3)
 
@@ -254,8 +257,8 @@ def test_completers_are_paired_with_those_that_bracket_them_view_by_view():
         "mirror": [True, False, False, False, False, False, False],
         "oracle": [True, True, True, True, True, True, True],
     }
-    trials = [trial(name, view, truth, True) for name, row in held.items() for view, truth in enumerate(row)]
-    paired = Report({}, tuple(trials)).paired()
+    rows = [a_row(name, view, truth, True) for name, line in held.items() for view, truth in enumerate(line)]
+    paired = Report({}, tuple(rows)).paired()
     assert paired["mirror"] == {"oracle": {"pairs": 7, "only_this": 0, "only_other": 6, "p": 2 * 0.5**6}}
     assert paired["oracle"] == {}
 

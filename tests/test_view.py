@@ -11,26 +11,24 @@ import pytest
 
 from gfp_grasp.camera import backproject
 from gfp_grasp.captures import read_capture
-from gfp_grasp.cli.viewing import view
+from gfp_grasp.cli.show import view
 from gfp_grasp.envs import GfpGraspEnv
 from gfp_grasp.envs.episode import Episode
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.grasps import Gripper
 from gfp_grasp.view import view_capture, view_episodes
-from gfp_grasp.view.clouds import OTHER, SUPPORT, scene_cloud
 from gfp_grasp.view.colours import GUESSED, SEEN, apart, grasp_colour, scale_colours, scale_end_mm, seen_colours
-from gfp_grasp.view.gripper import gripper_meshes
-from gfp_grasp.view.motion import FRAMES_PER_S, record_trial
+from gfp_grasp.view.layers import Switches
+from gfp_grasp.view.motion import FRAMES_PER_S, gripper_meshes, record_trial
+from gfp_grasp.view.scene import OTHER, SUPPORT, ShownScene, scene_cloud, scene_of_capture, scene_of_episode
 from gfp_grasp.view.server import Viewer, free_port
-from gfp_grasp.view.sight import Sight, sight_of_capture, sight_of_episode
-from gfp_grasp.view.switches import Switches
 from gfp_grasp.view.text import item_rows, scale_legend, table
 
 
 @pytest.fixture(scope="module")
-def sight() -> Sight:
+def shown() -> ShownScene:
     """The shipped capture, completed."""
-    return sight_of_capture(read_capture("sample"))
+    return scene_of_capture(read_capture("sample"))
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +47,7 @@ def test_without_viser_the_viewer_is_refused_before_any_work(monkeypatch: pytest
 
 
 def test_importing_package_command_line_and_viewer_loads_no_viser() -> None:
-    code = "import gfp_grasp, gfp_grasp.cli, gfp_grasp.cli.viewing, gfp_grasp.view, sys; print('viser' in sys.modules)"
+    code = "import gfp_grasp, gfp_grasp.cli, gfp_grasp.cli.show, gfp_grasp.view, sys; print('viser' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"
 
@@ -133,40 +131,40 @@ def test_texts_cannot_break_out_of_the_page() -> None:
     assert "<script" not in table(((hostile, hostile),), (hostile,))
 
 
-def test_scene_s_points_belong_to_cluster_or_support(sight: Sight) -> None:
-    assert sight.image is not None
-    completion = sight.items[0].completion
-    points, labels = scene_cloud(sight.image, [completion], max_points=10**6)
+def test_scene_s_points_belong_to_cluster_or_support(shown: ShownScene) -> None:
+    assert shown.image is not None
+    completion = shown.items[0].completion
+    points, labels = scene_cloud(shown.image, [completion], max_points=10**6)
     assert completion.detection.mask is not None
     assert completion.detection.support is not None
-    own = backproject(sight.image)[completion.detection.mask]
+    own = backproject(shown.image)[completion.detection.mask]
     own = own[np.isfinite(own).all(axis=1)]
     np.testing.assert_array_equal(points[labels == 0], own)
     assert np.abs(completion.detection.support.distances(points[labels == SUPPORT])).max() < 0.02
     assert (labels == SUPPORT).sum() > (labels == OTHER).sum()
-    few, _ = scene_cloud(sight.image, [completion], max_points=5000)
+    few, _ = scene_cloud(shown.image, [completion], max_points=5000)
     assert 2500 < len(few) <= 5000
 
 
-def test_panel_tells_class_size_residual_and_error_of_the_parts(sight: Sight) -> None:
-    rows = dict(item_rows(sight.items[0]))
+def test_panel_tells_class_size_residual_and_error_of_the_parts(shown: ShownScene) -> None:
+    rows = dict(item_rows(shown.items[0]))
     assert rows["class"] == "mug"
     assert float(rows["confidence"].split()[0]) > 0.5
     size_mm = [int(word) for word in rows["size"].removesuffix(" mm").split(" x ")]
     assert all(40 < extent < 200 for extent in size_mm)
     assert rows["residual"].endswith("mm, upright")
-    mean, high, largest = (1000 * error for error in sight.items[0].completion.collision.error_m)
+    mean, high, largest = (1000 * error for error in shown.items[0].completion.collision.error_m)
     assert rows["parts off by"] == f"{mean:.2f} mm, 95 % below {high:.2f}, all {largest:.2f}"
 
 
 def test_recorded_attempt_is_the_environment_s_own(env: GfpGraspEnv) -> None:
-    sight = sight_of_episode(env.episode, title="")
+    shown = scene_of_episode(env.episode, title="")
     assert env.world is not None
     before = env.world.T_world_object
-    motion = record_trial(env, sight.items[0].grasps[0])
+    motion = record_trial(env, shown.items[0].grasps[0])
     np.testing.assert_array_equal(env.world.T_world_object, before)
     np.testing.assert_allclose(motion.moved(0), np.eye(4), atol=1e-3)
-    _, reward, _, _, info = env.step(env.action_code.encode(sight.items[0].grasps[0]))
+    _, reward, _, _, info = env.step(env.action_code.encode(shown.items[0].grasps[0]))
     assert (float(motion.outcome.success), motion.outcome.reason) == (reward, info["reason"])
     assert motion.outcome.reason == "held"
     s = env.settings
@@ -179,7 +177,7 @@ def test_recorded_attempt_is_the_environment_s_own(env: GfpGraspEnv) -> None:
     assert motion.opening_m.min() < motion.opening_m[0] - 0.005
 
 
-def test_page_of_a_capture_is_served_with_its_scene_and_its_switches(sight: Sight) -> None:
+def test_page_of_a_capture_is_served_with_its_scene_and_its_switches(shown: ShownScene) -> None:
     pytest.importorskip("viser")
     capture = read_capture("sample")
     with view_capture(capture, port=0) as viewer:
@@ -190,7 +188,7 @@ def test_page_of_a_capture_is_served_with_its_scene_and_its_switches(sight: Sigh
         nodes, switches = viewer.layers.nodes, viewer.panels.switches
         layers = ("cluster", "observed", "mesh", "sigma", "parts", "primitive")
         assert set(nodes) >= {"/scene/points", "/truth/0", *(f"/objects/0/{name}" for name in layers)}
-        assert sum(name.startswith("/grasps/0/") for name in nodes) == len(sight.items[0].grasps) == 16
+        assert sum(name.startswith("/grasps/0/") for name in nodes) == len(shown.items[0].grasps) == 16
         assert set(switches) == {"scene", "observed", "mesh", "sigma", "parts", "primitive", "truth"}
         assert _visible(viewer) == {"observed", "mesh", "cluster"}
         assert sum(nodes[f"/grasps/0/{rank}"].visible for rank in range(16)) == viewer.panels.slider.value

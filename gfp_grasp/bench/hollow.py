@@ -15,11 +15,11 @@ from typing import Any
 import numpy as np
 import trimesh
 
+from gfp_grasp.bench.vessels import drop_marble, handle_hole, hangs, inside_of, tilt_deg
 from gfp_grasp.bench.views import see
 from gfp_grasp.collision import hull
 from gfp_grasp.complete import complete_to_mesh
 from gfp_grasp.completion import Completion
-from gfp_grasp.envs.hollow import drop_marble, handle_hole, hangs, inside_of, tilt_deg
 from gfp_grasp.errors import GfpGraspError
 from gfp_grasp.parallel import pmap
 from gfp_grasp.scenes import ObjectSource, label_of, load_objects

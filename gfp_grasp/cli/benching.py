@@ -46,9 +46,9 @@ def completion(
     seed: Seed = 0,
 ) -> None:
     """Completions against the truth, on random views."""
-    from gfp_grasp.bench.chart import write_chart
     from gfp_grasp.bench.completion import CompletionBench, bench_completion
     from gfp_grasp.bench.methods import BRIEF, METHODS
+    from gfp_grasp.drawing import write_bars
 
     named = {"all": METHODS, "brief": BRIEF}
     chosen = named[methods] if methods in named else tuple(methods.split(","))
@@ -77,7 +77,7 @@ def completion(
         headings = ("class", "method", "gain, mm", "95 % interval", "gain", "views won")
         table(headings, gains, title="against the same fit undeformed", words=2)
     if picture is not None:
-        write_chart(rows, picture, title=f"Completion, {protocol} views")
+        write_bars(rows, picture, title=f"Completion, {protocol} views")
     save_json(json_file, report)
 
 
@@ -128,7 +128,7 @@ def ablation(
 ) -> None:
     """The paper's networks by layers and iterations, at a short budget; a run that was stopped goes on."""
     from gfp_grasp.bench.ablation import AblationConfig, bench_ablation
-    from gfp_grasp.bench.chart import write_curves
+    from gfp_grasp.drawing import write_curves
 
     config = AblationConfig(steps=steps, limit=limit, seed=seed)
     report = bench_ablation(config=config, runs=runs, workers=workers, report=err.print)

@@ -1,6 +1,7 @@
 """What the commands share: consoles, progress bars, options that several of them have."""
 
 import json
+import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -24,6 +25,7 @@ from rich.table import Table
 from rich.text import Text
 
 from gfp_grasp.errors import InvalidOption
+from gfp_grasp.export import SUFFIXES
 from gfp_grasp.journal import write_whole
 
 Result = TypeVar("Result")
@@ -35,6 +37,7 @@ Ray = Annotated[str | None, typer.Option(help="Run on a Ray cluster: auto (this 
 Limit = Annotated[int | None, typer.Option(min=1, help="At most so many objects (of each family).")]
 Split = Annotated[str, typer.Option(help="Of the procedural families: train, val or test.")]
 Objects = Annotated[str, typer.Option(help="Family (cup, mug, bottle; several: cup,mug), mesh file or folder.")]
+Files = Annotated[bool, typer.Option("--files", help="Write the meshes of .xml to files beside it, not into itself.")]
 JsonFile = Annotated[Path | None, typer.Option("--json", dir_okay=False, help="Write all figures to this file.")]
 
 out = Console()
@@ -102,6 +105,20 @@ def vector(text: str | None, name: str) -> list[float] | None:
     if len(numbers) != 3:
         raise InvalidOption(f"--{name} is {text!r}; three numbers are expected, e.g. 0.3,-0.2,0.5")
     return numbers
+
+
+def check_outputs(paths: Sequence[Path]) -> None:
+    """Refuse a file that could not be written, before any work is done for it.
+
+    Raises:
+        InvalidOption: A path has an unknown suffix, is a folder, or lies in a folder that cannot be written.
+    """
+    for path in paths:
+        if path.suffix.lower() not in SUFFIXES:
+            raise InvalidOption(f"{path}: suffix {path.suffix!r} is not among {', '.join(SUFFIXES)}")
+        folder = next(parent for parent in path.absolute().parents if parent.exists())
+        if path.is_dir() or not folder.is_dir() or not os.access(folder, os.W_OK):
+            raise InvalidOption(f"{path} cannot be written: a file in a folder that is yours is expected")
 
 
 def save_json(path: Path | None, content: object) -> None:

@@ -11,41 +11,29 @@ from importlib.resources import files
 import numpy as np
 import trimesh
 
-from gfp_grasp.demo.story import HEADINGS, Item, Story, gripper_mesh, row
+from gfp_grasp.demo.demo_scene import HEADINGS, WORD_HEADINGS, DemoScene, figures_row
+from gfp_grasp.drawing import Item, gripper_mesh, html_page
 from gfp_grasp.transforms import apply_T, make_T, rotation_between
 
 # More points than this hide the surface under them.
 _MAX_POINTS = 900
 _ASIDE_RAD = 0.7
 _MEDIA_TYPES = {".png": "image/png", ".gif": "image/gif"}
-_WORDS = {"object", "class", "best grasp"}  # columns of words, which start at the left
 
 
-def write_page(stories: Sequence[Story], *, command: str, notes: Sequence[str] = ()) -> str:
+def write_page(scenes: Sequence[DemoScene], *, command: str, notes: Sequence[str] = ()) -> str:
     """The page as text.
 
     Args:
-        stories: What to show, in order.
-        command: That made it, for the foot of the page.
+        scenes: Scenes to show, in order.
+        command: Command that made the page, for its foot.
         notes: Further lines for the foot.
     """
-    shapes = json.dumps([_shapes(story) for story in stories], separators=(",", ":")).replace("<", "\\u003c")
-    own = files("gfp_grasp.demo")
-    sections = "\n".join(_section(story, i) for i, story in enumerate(stories))
+    shapes = json.dumps([_shapes(scene) for scene in scenes], separators=(",", ":")).replace("<", "\\u003c")
+    viewer = files("gfp_grasp.demo").joinpath("viewer.js").read_text(encoding="utf-8")
+    sections = "\n".join(_section(scene, i) for i, scene in enumerate(scenes))
     foot = "".join(f"<p>{html.escape(note)}</p>" for note in notes)
-    return f"""<!doctype html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<link rel="icon" href="data:,">
-<title>gfp_grasp: one depth view, completed and grasped</title>
-<style>
-{own.joinpath("page.css").read_text(encoding="utf-8")}</style>
-</head>
-<body>
-<main>
-<h1>One depth view in, whole objects out</h1>
+    body = f"""<h1>One depth view in, whole objects out</h1>
 <p class="lead">Each object below was seen from one side only. A primitive of its class was fitted and deformed to the
 points. The mesh is watertight, in metres, and comes with convex parts for a simulator. The best grasp planned on it was
 tried in MuJoCo: on the true object where there is one, on the completed parts elsewhere.</p>
@@ -57,41 +45,37 @@ tried in MuJoCo: on the true object where there is one, on the completed parts e
 seen from outside or through an opening; F is the F-score at 5 mm; a question mark stands where the truth is unknown.
 Fit is the trimmed mean distance of the points to the fitted primitive, before it is deformed. The number beside a class
 is its probability.</p>
-</footer>
-</main>
-<script type="application/json" id="stories">{shapes}</script>
-<script>
-{own.joinpath("viewer.js").read_text(encoding="utf-8")}</script>
-</body>
-</html>
-"""
+</footer>"""
+    data = f'<script type="application/json" id="scenes">{shapes}</script>'
+    script = f"{data}\n<script>\n{viewer}</script>\n"
+    return html_page("gfp_grasp: one depth view, completed and grasped", body, script=script)
 
 
-def _section(story: Story, index: int) -> str:
+def _section(scene: DemoScene, index: int) -> str:
     figures = "\n".join(
-        f'<figure><img src="{_data_uri(story, name)}" alt="{html.escape(caption)}">'
+        f'<figure><img src="{_data_uri(scene, name)}" alt="{html.escape(caption)}">'
         f"<figcaption>{html.escape(caption)}</figcaption></figure>"
-        for name, caption in story.pictures.items()
+        for name, caption in scene.pictures.items()
     )
-    return f"""<section class="story" id="story-{index}">
-<h2>{html.escape(story.title)}</h2>
-<p>{html.escape(story.text)}</p>
+    return f"""<section class="scene" id="scene-{index}">
+<h2>{html.escape(scene.title)}</h2>
+<p>{html.escape(scene.text)}</p>
 <div class="card">
 <div class="bar"><div class="choose" role="group" aria-label="Object"></div>
 <div class="layers" role="group" aria-label="What is shown"></div></div>
-<canvas tabindex="0" role="img" aria-label="{html.escape(story.title)}: drag or use the arrow keys to turn"></canvas>
+<canvas tabindex="0" role="img" aria-label="{html.escape(scene.title)}: drag or use the arrow keys to turn"></canvas>
 <div class="legend"><span><i style="--dot:#3a76c9"></i>surface that was seen</span>
 <span><i style="--dot:#ec9d38"></i>surface that was completed</span>
 <span>drag to turn, wheel or pinch to zoom, double-click to reset</span></div>
 </div>
-<div class="card wide">{_table(story)}</div>
+<div class="card wide">{_table(scene)}</div>
 <div class="pictures">{figures}</div>
 </section>"""
 
 
-def _table(story: Story) -> str:
+def _table(scene: DemoScene) -> str:
     def cell(tag: str, heading: str, text: str, item: Item | None = None) -> str:
-        kinds = ["word"] if heading in _WORDS else []
+        kinds = ["word"] if heading in WORD_HEADINGS else []
         if item and item.outcome and heading == "best grasp":
             kinds.append("held" if item.outcome.success else "failed")
         name = f' data-name="{html.escape(heading)}"' if item else ""  # narrow pages show it beside the figure
@@ -100,25 +84,25 @@ def _table(story: Story) -> str:
     head = "".join(cell("th", heading, heading) for heading in HEADINGS)
     body = "".join(
         "<tr>"
-        + "".join(cell("td", heading, text, item) for heading, text in zip(HEADINGS, row(item), strict=True))
+        + "".join(cell("td", heading, text, item) for heading, text in zip(HEADINGS, figures_row(item), strict=True))
         + "</tr>"
-        for item in story.items
+        for item in scene.items
     )
     return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
 
 
-def _shapes(story: Story) -> dict[str, object]:
-    """All shapes of a story, turned so that up is z, which the viewer takes for granted."""
-    detection = story.items[0].completion.detection
+def _shapes(scene: DemoScene) -> dict[str, object]:
+    """All shapes of a scene, turned so that up is z, which the viewer takes for granted."""
+    detection = scene.items[0].completion.detection
     T = make_T(rotation_between(detection.up, [0.0, 0.0, 1.0]))
     floor = detection.support.height_m if detection.support else None
-    items = [_item(item, T) for item in story.items]
-    return {"floor": floor, "azimuth": _azimuth(story, T), "items": items}
+    items = [_item(item, T) for item in scene.items]
+    return {"floor": floor, "azimuth": _azimuth(scene, T), "items": items}
 
 
-def _azimuth(story: Story, T: np.ndarray) -> float:
-    """From where to look at first: aside of where the camera stood, so that seen and unseen surface both show."""
-    cloud = story.items[0].completion.detection.cloud
+def _azimuth(scene: DemoScene, T: np.ndarray) -> float:
+    """Azimuth of the first look: aside of where the camera stood, so that seen and unseen surface both show."""
+    cloud = scene.items[0].completion.detection.cloud
     if cloud.viewpoint is None:
         return _ASIDE_RAD
     x, y, _ = apply_T(T, cloud.viewpoint) - apply_T(T, cloud.points).mean(axis=0)
@@ -163,6 +147,6 @@ def _base64(array: np.ndarray, kind: str) -> str:
     return base64.b64encode(np.ascontiguousarray(array, dtype=kind).tobytes()).decode("ascii")
 
 
-def _data_uri(story: Story, name: str) -> str:
-    path = story.folder / name
+def _data_uri(scene: DemoScene, name: str) -> str:
+    path = scene.folder / name
     return f"data:{_MEDIA_TYPES[path.suffix]};base64,{base64.b64encode(path.read_bytes()).decode('ascii')}"

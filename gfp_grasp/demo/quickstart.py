@@ -9,8 +9,8 @@ import trimesh
 
 from gfp_grasp.assets import data_dir
 from gfp_grasp.captures.read import SAMPLE_FILE
-from gfp_grasp.demo.props import CLUTTER, FILE, SINGLE, pick_objects, write_parts
-from gfp_grasp.demo.simulated import EYES, look, set_stage
+from gfp_grasp.demo.assets import CLUTTER, FILE, SINGLE, pick_objects, write_parts
+from gfp_grasp.demo.jobs import EYES, set_stage, take_picture
 from gfp_grasp.transforms import apply_T, invert_T
 
 SEED = 0
@@ -23,7 +23,7 @@ def main() -> None:
     write_parts([source.load() for source in sources], folder / FILE)
     rng = np.random.default_rng(SEED)
     stage, (truth,) = set_stage(sources[-1:], rng)
-    image, geom = look(stage, EYES["single"], rng)
+    image, geom = take_picture(stage, EYES["single"], rng)
     mesh = trimesh.Trimesh(apply_T(stage.pose(truth.name), truth.mesh.vertices), truth.mesh.faces, process=False)
     np.savez_compressed(
         folder / SAMPLE_FILE,

@@ -64,14 +64,14 @@ function layersOf(item) {
 }
 
 class Viewer {
-  constructor(canvas, story) {
+  constructor(canvas, scene) {
     this.canvas = canvas;
     this.context = canvas.getContext("2d");
-    this.items = story.items.map((item) => ({ layers: layersOf(item), at: item.at, reach: item.reach }));
-    this.floor = story.floor;
+    this.items = scene.items.map((item) => ({ layers: layersOf(item), at: item.at, reach: item.reach }));
+    this.floor = scene.floor;
     // Several grippers would hide what they are about to grasp.
-    this.shown = { points: true, completed: true, parts: false, truth: false, gripper: story.items.length === 1 };
-    this.start = story.azimuth;
+    this.shown = { points: true, completed: true, parts: false, truth: false, gripper: scene.items.length === 1 };
+    this.start = scene.azimuth;
     this.select(-1);
     this.reset();
     this._listen();
@@ -284,15 +284,15 @@ function button(text, pressed, onClick) {
   return made;
 }
 
-function start(story, section) {
-  const viewer = new Viewer(section.querySelector("canvas"), story);
+function start(scene, section) {
+  const viewer = new Viewer(section.querySelector("canvas"), scene);
   const choose = section.querySelector(".choose"), layers = section.querySelector(".layers");
   const pick = (index, made) => {
     for (const other of choose.children) other.setAttribute("aria-pressed", other === made);
     viewer.select(index);
   };
-  if (story.items.length > 1) choose.append(button("All", true, (made) => pick(-1, made)));
-  story.items.forEach((item, i) => choose.append(button(item.name, story.items.length === 1, (made) => pick(i, made))));
+  if (scene.items.length > 1) choose.append(button("All", true, (made) => pick(-1, made)));
+  scene.items.forEach((item, i) => choose.append(button(item.name, scene.items.length === 1, (made) => pick(i, made))));
   const names = { points: "Seen points", completed: "Completed", parts: "Convex parts", truth: "Truth", gripper: "Best grasp" };
   for (const [layer, label] of Object.entries(names)) {
     if (!viewer.items.some((item) => item.layers[layer].length)) continue;
@@ -307,5 +307,5 @@ function start(story, section) {
   return viewer;
 }
 
-const stories = JSON.parse(document.getElementById("stories").textContent);
-const viewers = stories.map((story, i) => start(story, document.getElementById(`story-${i}`)));
+const scenes = JSON.parse(document.getElementById("scenes").textContent);
+const viewers = scenes.map((scene, i) => start(scene, document.getElementById(`scene-${i}`)));

@@ -22,7 +22,7 @@ from gymnasium import spaces
 from gfp_grasp.envs.action import ActionCode
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.journal import write_whole
-from gfp_grasp.report import wilson_interval
+from gfp_grasp.score import wilson_interval
 from gfp_grasp.transforms import make_T, rotation_about
 from gfp_grasp.types import Grasp
 

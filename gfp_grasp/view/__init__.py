@@ -3,8 +3,7 @@
 Importing it does not load viser; only `view_capture` and `view_episodes` do.
 """
 
-from gfp_grasp.view.captured import view_capture
 from gfp_grasp.view.episodes import EpisodeViewer, view_episodes
-from gfp_grasp.view.server import Viewer
+from gfp_grasp.view.server import Viewer, view_capture
 
 __all__ = ["EpisodeViewer", "Viewer", "view_capture", "view_episodes"]

@@ -11,10 +11,9 @@ import numpy as np
 from gfp_grasp.envs import GfpGraspEnv
 from gfp_grasp.errors import GfpGraspError, InvalidOption
 from gfp_grasp.types import Grasp
-from gfp_grasp.view.gripper import MovingGripper
-from gfp_grasp.view.motion import FRAMES_PER_S, Motion, record_trial
+from gfp_grasp.view.motion import FRAMES_PER_S, Motion, MovingGripper, record_trial
+from gfp_grasp.view.scene import scene_of_episode
 from gfp_grasp.view.server import HOST, PORT, Viewer, check_viser
-from gfp_grasp.view.sight import sight_of_episode
 from gfp_grasp.view.text import line, outcome_text
 
 # The end of an attempt stays in sight for so long before all is put back.
@@ -77,7 +76,7 @@ class EpisodeViewer(Viewer):
     @property
     def grasps(self) -> tuple[Grasp, ...]:
         """Planned in the present episode, best first."""
-        items = self.layers.sight.items if self.layers else ()
+        items = self.layers.shown.items if self.layers else ()
         return items[0].grasps if items else ()
 
     def reset(self, seed: int) -> None:
@@ -89,7 +88,7 @@ class EpisodeViewer(Viewer):
         with self._at_work(f"seed {seed}: completing ..."):
             self.seed = seed
             self.env.reset(seed=seed)
-            self.show(sight_of_episode(self.env.episode, title=f"Episode {seed}", seed=seed))
+            self.show(scene_of_episode(self.env.episode, title=f"Episode {seed}", seed=seed))
             self._gripper.hide()
             self._rank.max = max(1, len(self.grasps))
             self._rank.value = 1

@@ -1,4 +1,12 @@
-"""A sight as nodes of viser's scene, in layers that can be shown or not."""
+"""A scene as nodes of viser's scene, in layers that can be shown or not; the names of nodes say what they are.
+
+| name | node |
+|---|---|
+| /scene/points, /scene/grid | points that belong to no object; the support |
+| /objects/NUMBER/LAYER | layers of an object: cluster, observed, mesh, sigma, parts, primitive, name |
+| /grasps/NUMBER/RANK | grasps on an object, 0 is the best |
+| /truth/NUMBER | true mesh |
+"""
 
 from __future__ import annotations
 
@@ -9,10 +17,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import trimesh
 
-from gfp_grasp.demo.story import Item, gripper_mesh
+from gfp_grasp.drawing import Item, gripper_mesh
 from gfp_grasp.transforms import quat_wxyz, rotation_between
 from gfp_grasp.types import Grasp
-from gfp_grasp.view.clouds import SUPPORT, scene_cloud
 from gfp_grasp.view.colours import (
     LINES,
     OBSERVED,
@@ -26,8 +33,7 @@ from gfp_grasp.view.colours import (
     scale_end_mm,
     seen_colours,
 )
-from gfp_grasp.view.sight import Sight
-from gfp_grasp.view.switches import Switches
+from gfp_grasp.view.scene import SUPPORT, ShownScene, scene_cloud
 
 if TYPE_CHECKING:
     import viser  # type: ignore[import-not-found]
@@ -39,26 +45,75 @@ _TRUTH_OPACITY = 0.45
 _GRID_M, _CELL_M, _LABEL_M = 1.0, 0.05, 0.02
 
 
-@dataclass(eq=False)
-class Layers:
-    """The nodes of one sight, by name.
+@dataclass(frozen=True)
+class Switches:
+    """Which layers of a scene are visible.
 
     Attributes:
-        server: Whose scene they are in.
-        sight: What they show.
-        end_mm: Where the scale of sigma ends.
+        scene: Points of the whole scene.
+        observed: Points of each object.
+        mesh: Completed mesh.
+        sigma: The mesh in the colours of its uncertainty, in place of those of seen and guessed surface.
+        parts: Convex parts, in place of the mesh.
+        primitive: Wire mesh of the primitive as it was registered.
+        truth: True mesh, translucent.
+        num_grasps: Number of grasps on each object, the best first.
+        hidden: Numbers of objects that are not shown at all.
+    """
+
+    scene: bool = True
+    observed: bool = True
+    mesh: bool = True
+    sigma: bool = False
+    parts: bool = False
+    primitive: bool = False
+    truth: bool = False
+    num_grasps: int = 4
+    hidden: frozenset[int] = frozenset()
+
+    def shows(self, name: str) -> bool:
+        """Whether a node is visible; a node without a switch of its own is, so that its children can be."""
+        room, number, layer = (*name.strip("/").split("/"), "")[:3]
+        if room == "scene":
+            return self.scene if number == "points" else True
+        if room == "truth":
+            return self.truth
+        if int(number) in self.hidden:
+            return False
+        if room == "grasps":
+            return not layer or int(layer) < self.num_grasps
+        surface = self.mesh and not self.parts
+        layers = {
+            "cluster": self.scene,
+            "observed": self.observed,
+            "mesh": surface and not self.sigma,
+            "sigma": surface and self.sigma,
+            "parts": self.parts,
+            "primitive": self.primitive,
+        }
+        return layers.get(layer, True)
+
+
+@dataclass(eq=False)
+class Layers:
+    """The nodes of one scene, by name.
+
+    Attributes:
+        server: Viser's server, whose scene the nodes are in.
+        shown: The scene that they show.
+        end_mm: End of the colour scale of sigma, mm.
         nodes: Handle of each node.
     """
 
     server: viser.ViserServer
-    sight: Sight
+    shown: ShownScene
     end_mm: float = field(init=False)
     nodes: dict[str, viser.SceneNodeHandle] = field(default_factory=dict, init=False)
 
     def __post_init__(self) -> None:
-        self.end_mm = scale_end_mm([item.completion.sigma_m for item in self.sight.items])
+        self.end_mm = scale_end_mm([item.completion.sigma_m for item in self.shown.items])
         with self.server.atomic():
-            for number, item in enumerate(self.sight.items):
+            for number, item in enumerate(self.shown.items):
                 self._draw_item(number, item)
             self._draw_scene()
             self.show(Switches())
@@ -83,18 +138,18 @@ class Layers:
         self.nodes.clear()
 
     def _draw_scene(self) -> None:
-        scene, sight = self.server.scene, self.sight
-        scene.set_up_direction(sight.up)
-        completions = [item.completion for item in sight.items]
-        if sight.image is not None:
-            points, labels = scene_cloud(sight.image, completions)
+        scene, shown = self.server.scene, self.shown
+        scene.set_up_direction(shown.up)
+        completions = [item.completion for item in shown.items]
+        if shown.image is not None:
+            points, labels = scene_cloud(shown.image, completions)
             colours = np.where(
                 (labels == SUPPORT)[:, None], np.array(TABLE, np.uint8), np.array(SURROUNDINGS, np.uint8)
             )
             self._points("/scene/points", points[labels < 0], colours[labels < 0], _SCENE_M)
             for number, colour in enumerate(apart(len(completions))):  # each moves with its object
                 self._points(f"/objects/{number}/cluster", points[labels == number], colour, _CLUSTER_M)
-        for number, truth in enumerate(sight.truths):
+        for number, truth in enumerate(shown.truths):
             self._simple(f"/truth/{number}", truth, TRUTH, opacity=_TRUTH_OPACITY)
         if completions and (support := completions[0].detection.support) is not None:
             middle = completions[0].mesh.bounds.mean(axis=0)
@@ -126,9 +181,9 @@ class Layers:
         if (fit := completion.fit) is not None:
             wire = trimesh.Trimesh(fit.vertices_world(), fit.primitive.faces, process=False)
             self._simple(f"{at}/primitive", wire, PRIMITIVE, wireframe=True)
-        if len(self.sight.items) > 1:
-            top = completion.mesh.vertices[np.argmax(completion.mesh.vertices @ self.sight.up)]
-            self.nodes[f"{at}/name"] = scene.add_label(f"{at}/name", item.name, position=top + _LABEL_M * self.sight.up)
+        if len(self.shown.items) > 1:
+            top = completion.mesh.vertices[np.argmax(completion.mesh.vertices @ self.shown.up)]
+            self.nodes[f"{at}/name"] = scene.add_label(f"{at}/name", item.name, position=top + _LABEL_M * self.shown.up)
         self.nodes[f"/grasps/{number}"] = scene.add_frame(f"/grasps/{number}", show_axes=False)
         for rank, grasp in enumerate(item.grasps):
             self._draw_grasp(f"/grasps/{number}/{rank}", grasp, rank)

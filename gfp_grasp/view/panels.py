@@ -6,9 +6,8 @@ import threading
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from gfp_grasp.view.layers import Layers
-from gfp_grasp.view.sight import Sight
-from gfp_grasp.view.switches import Switches
+from gfp_grasp.view.layers import Layers, Switches
+from gfp_grasp.view.scene import ShownScene
 from gfp_grasp.view.text import item_rows, scale_legend, surface_legend, table
 
 if TYPE_CHECKING:
@@ -26,12 +25,12 @@ _LABELS = {
 
 
 class Panels:
-    """Switches of any sight, and one folder for each object of the present one.
+    """Switches for any scene, and one folder for each object of the present one.
 
-    Switches keep their state from one sight to the next.
+    Switches keep their state from one scene to the next.
 
     Attributes:
-        layers: What the switches act on; None while there is nothing.
+        layers: Layers that the switches act on; None while there are none.
         playing: Whether a grasp is being tried, while none that is planned is shown.
         lock: Held while what is shown changes: viser answers every switch in a thread of its own.
     """
@@ -54,36 +53,36 @@ class Panels:
         for handle in (*self.switches.values(), self.slider):
             handle.on_update(lambda _: self.refresh())
 
-    def put(self, sight: Sight, layers: Layers) -> None:
-        """Take over a sight that is drawn, and let go of the one before."""
+    def put(self, shown: ShownScene, layers: Layers) -> None:
+        """Take over a scene that is drawn, and let go of the one before."""
         self.clear()
         self.layers = layers
-        self.switches["truth"].visible = bool(sight.truths)
-        self.slider.max = max([1, *(len(item.grasps) for item in sight.items)])
+        self.switches["truth"].visible = bool(shown.truths)
+        self.slider.max = max([1, *(len(item.grasps) for item in shown.items)])
         self.slider.value = min(self.slider.value, self.slider.max)
         gui = self.server.gui
-        if sight.facts or sight.notes or not sight.items:
-            self.folders.append(folder := gui.add_folder(sight.title))
+        if shown.facts or shown.notes or not shown.items:
+            self.folders.append(folder := gui.add_folder(shown.title))
             with folder:
-                gui.add_html(table(sight.facts, sight.notes or (() if sight.items else ("nothing was completed",))))
-        for item in sight.items:
+                gui.add_html(table(shown.facts, shown.notes or (() if shown.items else ("nothing was completed",))))
+        for item in shown.items:
             self.folders.append(folder := gui.add_folder(item.name))
             with folder:
-                if len(sight.items) > 1:
+                if len(shown.items) > 1:
                     self.boxes.append(box := gui.add_checkbox("show", True))
                     box.on_update(lambda _: self.refresh())
                 gui.add_html(table(item_rows(item)))
         self.refresh()
 
     def clear(self) -> None:
-        """Remove the folders of the present sight."""
+        """Remove the folders of the present shown."""
         self.layers = None
         for folder in self.folders:
             folder.remove()
         self.folders, self.boxes = [], []
 
     def state(self) -> Switches:
-        """What the switches say."""
+        """State of the switches."""
         flags = {name: bool(box.value) for name, box in self.switches.items()}
         hidden = frozenset(number for number, box in enumerate(self.boxes) if not box.value)
         return Switches(**flags, num_grasps=0 if self.playing else int(self.slider.value), hidden=hidden)
@@ -94,7 +93,7 @@ class Panels:
             state, layers = self.state(), self.layers
             if layers is None:
                 return
-            if not layers.sight.items:  # there is nothing else to see
+            if not layers.shown.items:  # there is nothing else to see
                 state = replace(state, truth=True)
             layers.show(state)
             self.legend.content = scale_legend(layers.end_mm) if state.sigma else surface_legend()

@@ -9,16 +9,18 @@ import os
 import socket
 import threading
 from collections.abc import Iterator
+from pathlib import Path
 from types import TracebackType
 from typing import Self
 
 import numpy as np
 
+from gfp_grasp.captures import Capture, read_capture
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.transforms import rotation_about
 from gfp_grasp.view.layers import Layers
 from gfp_grasp.view.panels import Panels
-from gfp_grasp.view.sight import Sight
+from gfp_grasp.view.scene import ShownScene, scene_of_capture
 
 HOST, PORT = "127.0.0.1", 8080
 _LAST_PORT, _PORTS_TRIED = 65535, 100
@@ -28,6 +30,38 @@ _FROM = np.array([1.0, -0.8, 0.4])  # where nobody knows where the camera stood
 _FIELD_RAD, _NEAREST_M, _AWAY_IN_SIZES = 0.8, 0.5, 1.8
 _LEAST_STEEPNESS = 0.45  # sine of the angle above the support
 _OWN = {"0.0.0.0": "127.0.0.1", "": "127.0.0.1", "::": "[::1]"}
+
+
+def view_capture(
+    capture: Capture | str | Path = "sample",
+    *,
+    category: str | None = None,
+    seed: int = 0,
+    host: str = HOST,
+    port: int = PORT,
+) -> Viewer:
+    """Complete a recording, plan grasps on it, and serve a page that shows all of it.
+
+    Args:
+        capture: The recording, or its file as `read_capture` takes it; "sample" ships with the package.
+        category: Class of its one object; None lets the classifier and the fits choose.
+        seed: Seed of every random choice.
+        host: Address to listen at.
+        port: Port to listen at, or the next one that is free; 0 takes any.
+
+    Returns:
+        The viewer, serving: `wait` for the user, and `stop` it.
+
+    Raises:
+        InvalidOption: Viser, an extra of this package, is not installed, or the address cannot be listened at.
+        GfpGraspError: The recording cannot be read or completed.
+    """
+    check_viser()
+    capture = capture if isinstance(capture, Capture) else read_capture(capture)
+    shown = scene_of_capture(capture, category=category, seed=seed)
+    viewer = Viewer(capture.name, host=host, port=port)
+    viewer.show(shown)
+    return viewer
 
 
 class Viewer:
@@ -71,15 +105,15 @@ class Viewer:
         host = _OWN.get(host, f"[{host}]" if ":" in host else host)
         return f"http://{host}:{self.server.get_port()}"
 
-    def show(self, sight: Sight) -> None:
-        """Draw a sight in place of the one before."""
+    def show(self, shown: ShownScene) -> None:
+        """Draw a scene in place of the one before."""
         with self.panels.lock, self.server.atomic():
             self.panels.clear()
             if self.layers is not None:
                 self.layers.remove()
-            self.layers = Layers(self.server, sight)
-            self.panels.put(sight, self.layers)
-        self._look_at(sight)
+            self.layers = Layers(self.server, shown)
+            self.panels.put(shown, self.layers)
+        self._look_at(shown)
 
     def wait(self) -> None:
         """Serve until the process is interrupted, or the viewer stopped by another thread."""
@@ -98,18 +132,18 @@ class Viewer:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, at: TracebackType | None) -> None:
         self.stop()
 
-    def _look_at(self, sight: Sight) -> None:
-        low, high = _bounds(sight)
-        middle, size = (low + high) / 2 + self.headroom_m / 2 * sight.up, float(np.linalg.norm(high - low))
+    def _look_at(self, shown: ShownScene) -> None:
+        low, high = _bounds(shown)
+        middle, size = (low + high) / 2 + self.headroom_m / 2 * shown.up, float(np.linalg.norm(high - low))
         size += self.headroom_m
-        eye = None if sight.image is None else sight.image.T_world_camera[:3, 3]
-        for item in sight.items:
+        eye = None if shown.image is None else shown.image.T_world_camera[:3, 3]
+        for item in shown.items:
             eye = item.completion.detection.cloud.viewpoint if eye is None else eye
-        away = rotation_about(sight.up, _ASIDE_RAD) @ (_FROM if eye is None else eye - middle)
+        away = rotation_about(shown.up, _ASIDE_RAD) @ (_FROM if eye is None else eye - middle)
         away /= max(float(np.linalg.norm(away)), 1e-9)
-        away += max(0.0, _LEAST_STEEPNESS - float(away @ sight.up)) * sight.up
+        away += max(0.0, _LEAST_STEEPNESS - float(away @ shown.up)) * shown.up
         camera = self.server.initial_camera
-        camera.fov, camera.up, camera.look_at = _FIELD_RAD, sight.up, middle
+        camera.fov, camera.up, camera.look_at = _FIELD_RAD, shown.up, middle
         camera.position = middle + max(_NEAREST_M, _AWAY_IN_SIZES * size) * away / np.linalg.norm(away)
 
 
@@ -156,8 +190,8 @@ def _listen(family: int, host: str, port: int) -> None:
         probe.bind((host, port))
 
 
-def _bounds(sight: Sight) -> tuple[np.ndarray, np.ndarray]:
-    boxes = [mesh.bounds for mesh in (*(item.completion.mesh for item in sight.items), *sight.truths)]
+def _bounds(shown: ShownScene) -> tuple[np.ndarray, np.ndarray]:
+    boxes = [mesh.bounds for mesh in (*(item.completion.mesh for item in shown.items), *shown.truths)]
     if not boxes:
         return np.full(3, -0.1), np.full(3, 0.1)
     return np.min([low for low, _ in boxes], axis=0), np.max([high for _, high in boxes], axis=0)

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Sequence
 
 import numpy as np
 
-from gfp_grasp.demo.story import Item
+from gfp_grasp.drawing import Item, spoken
 from gfp_grasp.transforms import apply_T, invert_T
 from gfp_grasp.types import Outcome
 from gfp_grasp.view.colours import GUESSED, SEEN, scale_stops
@@ -17,12 +17,12 @@ _BOX = "font-size:0.8rem;line-height:1.45;padding:0.2rem 0.7rem 0.5rem"
 
 
 def item_rows(item: Item) -> Rows:
-    """Name and value of what is known of an object; lengths in mm."""
+    """Names and values of all figures of an object; lengths in mm."""
     completion, fit = item.completion, item.completion.fit
     name = fit.primitive.name if fit else completion.category
     rows = [("class", name), ("confidence", _scores(item)), ("size", _size(item))]
     if fit is not None:
-        rows.append(("residual", f"{1000 * fit.residual_m:.2f} mm, {fit.hypothesis.replace('_', ' ')}"))
+        rows.append(("residual", f"{1000 * fit.residual_m:.2f} mm, {spoken(fit.hypothesis)}"))
     middle, high = 1000 * np.quantile(completion.sigma_m, (0.5, 0.95))
     rows.append(("seen", f"{completion.observed.mean():.0%} of {len(completion.observed)} vertices"))
     rows.append(("sigma", f"{middle:.1f} mm, 95 % below {high:.1f} mm"))
@@ -55,7 +55,7 @@ def line(text: str) -> str:
 
 
 def surface_legend() -> str:
-    """Which colour of the mesh was seen, and which guessed."""
+    """Legend of seen and guessed surface."""
     dots = "".join(
         f'<span style="margin-right:1em"><span style="display:inline-block;width:0.8em;height:0.8em;border-radius:50%;'
         f'margin-right:0.35em;background:rgb{colour}"></span>{word}</span>'
@@ -75,8 +75,8 @@ def scale_legend(end_mm: float) -> str:
 
 
 def outcome_text(outcome: Outcome) -> str:
-    """What a grasp did, in a line."""
-    reason = outcome.reason.replace("_", " ")
+    """Outcome of a grasp, in a line."""
+    reason = spoken(outcome.reason)
     lift = f"lifted by {1000 * outcome.lift_m:.0f} mm, slipped by {1000 * outcome.slip_m:.1f} mm"
     if not outcome.success:
         return f"{reason}: {lift}"
@@ -93,7 +93,7 @@ def _scores(item: Item) -> str:
 
 
 def _size(item: Item) -> str:
-    """Along the primitive's own axes, of which z is upright."""
+    """Extents along the primitive's own axes; its z axis is upright."""
     local = apply_T(invert_T(item.completion.T_world_object), item.completion.mesh.vertices)
     return " x ".join(f"{1000 * extent:.0f}" for extent in np.ptp(local, axis=0)) + " mm"
 

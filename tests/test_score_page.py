@@ -10,23 +10,29 @@ import pytest
 import trimesh
 from PIL import Image
 
-import gfp_grasp.cli.scoring
-from gfp_grasp.demo.attempt import _camera
+import gfp_grasp.cli.score
+from gfp_grasp.drawing import bracket_chart, overlay, reasons_chart, without_paths
+from gfp_grasp.drawing.charts import _HATCHES
+from gfp_grasp.drawing.film import film_camera
 from gfp_grasp.errors import CannotWrite, GfpGraspError, InvalidOption
 from gfp_grasp.grasps import plan_grasps
-from gfp_grasp.report import Report, Trial
-from gfp_grasp.score import score
-from gfp_grasp.scorepage import prepare_folder, write_picture, write_score_page
-from gfp_grasp.scorepage.charts import _HATCHES, bracket_chart, reasons_chart
-from gfp_grasp.scorepage.failures import MOST, choose_failures
-from gfp_grasp.scorepage.overlay import overlay
-from gfp_grasp.scorepage.page import _command
-from gfp_grasp.scorepage.words import without_paths
+from gfp_grasp.score import (
+    BRACKETS,
+    Report,
+    ScoreConfig,
+    ScoreRow,
+    prepare_folder,
+    score,
+    write_picture,
+    write_score_page,
+)
+from gfp_grasp.score.failures import MOST, choose_failures
+from gfp_grasp.score.page import _command
 from gfp_grasp.transforms import make_T
 from gfp_grasp.types import REASONS, Grasp
 
 pytestmark = pytest.mark.filterwarnings("error")
-MISSING = "mirror/test_scorepage:grasps_the_air"
+MISSING = "mirror/test_score_page:grasps_the_air"
 HOSTILE = '<script>alert(1)<script>"&'
 
 
@@ -49,7 +55,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def report(folder):
-    return score(folder, ("mirror", MISSING, "oracle"), views=1, seed=5)
+    return score(folder, ("mirror", MISSING, "oracle"), config=ScoreConfig(views=1, seed=5))
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +79,7 @@ def test_the_figures_beside_the_page_are_those_of_the_report(made, report):
 
 def test_failures_are_made_again_as_they_were_and_filmed(made, report):
     directory, text = made
-    assert [trial.reason for trial in report.trials if trial.completer == MISSING] == ["no_contact"] * 2
+    assert [row.reason for row in report.rows if row.completer == MISSING] == ["no_contact"] * 2
     assert text.count("<dt>reason</dt><dd>no contact</dd>") == 2
     assert "made again" not in text.split('<section id="figures">')[0]
     for number in (1, 2):
@@ -92,10 +98,10 @@ def test_names_cannot_break_out_of_the_page(made):
 def test_the_page_holds_no_absolute_path_even_where_a_note_does(folder, report, tmp_path):
     lost = [
         replace(t, reason="no_grasp_found", quality=None, note=f"UnreadableFile: {folder}/slim.ply is none")
-        for t in report.trials
+        for t in report.rows
         if t.completer == MISSING
     ]
-    held = [trial for trial in report.trials if trial.completer == "oracle"]
+    held = [row for row in report.rows if row.completer == "oracle"]
     page = write_score_page(Report(report.settings, (*lost, *held)), tmp_path, objects=folder)
     text = page.read_text(encoding="utf-8")
     assert "UnreadableFile: slim.ply is none" in text
@@ -129,8 +135,8 @@ def test_folders_are_taken_out_of_absolute_paths_alone(words, left):
 
 
 def test_a_report_without_failures_gives_a_page_that_says_so(report, tmp_path):
-    held = tuple(trial for trial in report.trials if trial.success)
-    assert {trial.completer for trial in held} >= {"oracle"}
+    held = tuple(row for row in report.rows if row.success)
+    assert {row.completer for row in held} >= {"oracle"}
     page = write_score_page(Report(report.settings, held), tmp_path, objects="nothing is loaded")
     assert "No row failed where the oracle held." in page.read_text(encoding="utf-8")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["index.html", "score.json"]
@@ -162,15 +168,17 @@ def test_objects_that_were_not_scored_are_refused(report, tmp_path):
 
 def options():
     """Of the command, by name."""
-    return set(signature(gfp_grasp.cli.scoring.score).parameters)
+    return set(signature(gfp_grasp.cli.score.score).parameters)
 
 
-def trial(row: str, name: str, view: int, *, success: bool = False, cd_m: float | None = 0.01, note: str = "") -> Trial:
+def a_row(
+    method: str, name: str, view: int, *, success: bool = False, cd_m: float | None = 0.01, note: str = ""
+) -> ScoreRow:
     reason = "held" if success else "no_contact"
-    return Trial(
+    return ScoreRow(
         object=name,
         category="",
-        completer=row,
+        completer=method,
         view=view,
         episode_seed=0,
         success=success,
@@ -193,11 +201,11 @@ def trial(row: str, name: str, view: int, *, success: bool = False, cd_m: float 
 
 
 def test_failures_are_chosen_where_the_oracle_held_largest_error_first_and_two_of_an_object():
-    oracle = [trial("oracle", name, view, success=(name, view) != ("b", 0)) for name in "abc" for view in range(3)]
-    worse = [trial("worse", "a", view, cd_m=0.01 * (view + 1)) for view in range(3)]
-    worse += [trial("worse", "b", 0, cd_m=0.9), trial("worse", "b", 1, cd_m=None)]
-    better = [trial("better", "c", 0), trial("better", "c", 1, success=True)]
-    lost = [trial("better", "c", 2, note="WorkerLost: it died")]
+    oracle = [a_row("oracle", name, view, success=(name, view) != ("b", 0)) for name in "abc" for view in range(3)]
+    worse = [a_row("worse", "a", view, cd_m=0.01 * (view + 1)) for view in range(3)]
+    worse += [a_row("worse", "b", 0, cd_m=0.9), a_row("worse", "b", 1, cd_m=None)]
+    better = [a_row("better", "c", 0), a_row("better", "c", 1, success=True)]
+    lost = [a_row("better", "c", 2, note="WorkerLost: it died")]
     chosen = choose_failures(Report({}, (*oracle, *worse, *better, *lost)))
     assert [(t.completer, t.object, t.view) for t in chosen] == [
         ("better", "c", 0),
@@ -208,17 +216,17 @@ def test_failures_are_chosen_where_the_oracle_held_largest_error_first_and_two_o
 
 
 def test_without_an_oracle_any_failure_may_be_shown_up_to_the_most():
-    trials = [trial("mirror", str(number), 0) for number in range(MOST + 3)]
-    assert len(choose_failures(Report({}, tuple(trials)))) == MOST
+    rows = [a_row("mirror", str(number), 0) for number in range(MOST + 3)]
+    assert len(choose_failures(Report({}, tuple(rows)))) == MOST
 
 
 def test_the_charts_stand_where_the_figures_are():
     rows = {
-        name: [trial(name, "a", view, success=view < held) for view in range(4)]
+        name: [a_row(name, "a", view, success=view < held) for view in range(4)]
         for name, held in (("observed", 1), ("<own>", 2), ("oracle", 4))
     }
     summaries = Report({}, tuple(t for trials in rows.values() for t in trials)).completers()
-    chart = ElementTree.fromstring(bracket_chart(summaries))
+    chart = ElementTree.fromstring(bracket_chart(summaries, BRACKETS))
     at = [float(circle.get("cx", "")) for circle in chart.iterfind("g[@class='true']/circle")]
     zero, one = 10.0, 410.0
     np.testing.assert_allclose(at, [zero + (one - zero) * share for share in (0.25, 0.5, 1.0)])
@@ -267,6 +275,6 @@ def test_a_gripper_that_comes_from_the_side_hides_nothing(yaw_deg):
     approach = np.array([np.cos(yaw), np.sin(yaw), 0.0])
     closing = np.array([-approach[1], approach[0], 0.0])
     T = make_T(np.column_stack([np.cross(closing, approach), closing, approach]), (0, 0, 0.1))
-    camera = _camera(Grasp(T, 0.06), alone=True)
+    camera = film_camera(Grasp(T, 0.06), alone=True)
     sight = camera[:3, 2] * (1, 1, 0) / np.linalg.norm(camera[:2, 2])
     assert sight @ approach == pytest.approx(np.cos(np.deg2rad(55)), abs=1e-6)

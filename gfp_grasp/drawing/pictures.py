@@ -1,37 +1,63 @@
-"""A completion over the truth: one look from where the camera stood, one from aside, shaded by ray casting."""
+"""Pictures: depth as colour, a completion over the truth, short clips."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from pathlib import Path
 
 import numpy as np
 import trimesh
+from PIL import Image
 
 from gfp_grasp.camera import intrinsics, render_mesh_view, surface_normals
 from gfp_grasp.transforms import look_at, rotation_about
 from gfp_grasp.types import DepthImage
 
-# Of the truth and of the completion: dark and light, so that the two are told apart in grey.
+# Near to far. Light grows evenly from one stop to the next, so that the order survives in grey.
+_STOPS = np.array([(253, 231, 160), (246, 177, 97), (214, 98, 92), (140, 49, 111), (62, 26, 90), (16, 14, 42)], float)
+_NOTHING = (205, 209, 214)
+
+# The truth is dark and the completion light, so that the two are told apart in grey.
 _RGB = ((0.20, 0.38, 0.62), (0.98, 0.68, 0.26))
 _TABLE_RGB = (0.90, 0.91, 0.93)
 # Camera frame: the lamp goes along, over the left shoulder, so that both looks are equally bright.
 _LIGHT = np.array([-0.45, -0.6, -0.66]) / np.linalg.norm([-0.45, -0.6, -0.66])
 _PANEL_PX, _SUPERSAMPLE = 300, 2
 _FOV_DEG, _ELEVATION_RAD = 30.0, np.deg2rad(22.0)
-_MARGIN = 1.02  # of the sphere around both shapes
+_MARGIN = 1.02  # share of the sphere around both shapes that the camera has in view
 _ASIDE_RAD = (0.0, np.deg2rad(100.0))
 _FARTHEST_M = 10.0
 # The nearer surface counts for so much of a pixel and takes over within this depth, so that agreement does not flicker.
 _NEARER, _AGREE_M = 0.72, 0.001
 
 
+def write_depth(path: Path, depth_m: np.ndarray) -> None:
+    """Write depth (h, w) m as a PNG: light is near, dark is far, grey came back with nothing."""
+    seen = depth_m > 0
+    low, high = np.quantile(depth_m[seen], [0.005, 0.995]) if seen.any() else (0.0, 1.0)
+    share = np.clip((depth_m - low) / max(high - low, 1e-6), 0.0, 1.0) * (len(_STOPS) - 1)
+    stops = np.arange(len(_STOPS))
+    colour = np.stack([np.interp(share, stops, _STOPS[:, c]) for c in range(3)], axis=-1)
+    colour[~seen] = _NOTHING
+    Image.fromarray(colour.astype(np.uint8)).save(path, optimize=True)
+
+
+def write_clip(path: Path, frames: Sequence[np.ndarray], *, frame_ms: int = 80) -> None:
+    """Write frames (h, w, 3) uint8 as a GIF that repeats; all frames share one palette, so nothing flickers."""
+    palette = Image.fromarray(np.concatenate(frames[:: max(1, len(frames) // 6)])).quantize(128)
+    pictures = [Image.fromarray(frame).quantize(palette=palette, dither=Image.Dither.NONE) for frame in frames]
+    durations = [frame_ms] * (len(pictures) - 1) + [1200]
+    pictures[0].save(path, save_all=True, append_images=pictures[1:], duration=durations, loop=0, optimize=True)
+
+
 def overlay(truth: trimesh.Trimesh, completed: trimesh.Trimesh | None, *, seen_from: np.ndarray) -> np.ndarray:
-    """Picture (h, 2 h, 3) uint8 of both, each translucent; where only one is, that one.
+    """Picture (h, 2 h, 3) uint8 of truth and completion, both translucent.
 
     Args:
-        truth: World frame, z up, m, over a table at z = 0.
-        completed: The same; None shows the truth alone.
-        seen_from: (3,) m, where the camera stood: the left half looks from its side, the right from 100 degrees aside.
+        truth: True mesh, world frame, z up, m, over a table at z = 0.
+        completed: Completed mesh in the same frame; None shows the truth alone.
+        seen_from: (3,) m, where the camera stood. The left half looks from there, the right half from 100 degrees
+            aside.
     """
     meshes = [truth] if completed is None else [truth, completed]
     corners = np.concatenate([mesh.bounds for mesh in meshes])
@@ -69,7 +95,7 @@ def _panel(meshes: Sequence[trimesh.Trimesh], T_world_camera: np.ndarray) -> np.
         (first, first_m), (second, second_m) = layers
         both = np.isfinite(first_m) & np.isfinite(second_m)
         ahead_m = np.where(both, first_m, 0.0) - np.where(both, second_m, 0.0)
-        share = 0.5 + (_NEARER - 0.5) * np.tanh(ahead_m / _AGREE_M)[..., None]  # of the second
+        share = 0.5 + (_NEARER - 0.5) * np.tanh(ahead_m / _AGREE_M)[..., None]  # share of the second
         colour = np.where(both[..., None], share * second + (1 - share) * first, colour)
     small = colour.reshape(_PANEL_PX, _SUPERSAMPLE, _PANEL_PX, _SUPERSAMPLE, 3).mean(axis=(1, 3))
     return (255 * np.clip(small, 0.0, 1.0)).astype(np.uint8)
@@ -81,6 +107,6 @@ def _depth(image: DepthImage) -> np.ndarray:
 
 
 def _shaded(image: DepthImage, rgb: tuple[float, float, float]) -> np.ndarray:
-    """Colour (h, w, 3) by the angle to the lamp, as `gfp_grasp.envs.picture` does it."""
+    """Colour (h, w, 3) by the angle to the lamp, as the environment's own pictures have it."""
     facing = np.clip(np.nan_to_num(surface_normals(image) @ _LIGHT, nan=0.5), 0.0, 1.0)
     return np.array(rgb) * (0.45 + 0.55 * facing)[..., None]

@@ -1,4 +1,4 @@
-"""Trials of completers, and their summary side by side."""
+"""What came of every view under every method, and the methods side by side."""
 
 from __future__ import annotations
 
@@ -21,32 +21,32 @@ BRACKETS = ("oracle", "observed")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Trial:
-    """One object, one view, one completer, its best grasp.
+class ScoreRow:
+    """One view of one object under one method: the best grasp, tried on the true object and on the completion.
 
     Attributes:
         object: Name of the object.
-        category: Its class, "" where unknown.
-        completer: Name of the completer.
+        category: Class of the object, "" where unknown.
+        completer: Name of the method: the completer's, and behind a slash the planner's if it is not `antipodal`.
         view: Number of the view.
-        episode_seed: Seed of the environment's reset.
+        episode_seed: Seed that a reset of the environment makes the same episode from.
         success: Whether the true object was held.
-        reason: What happened to it, one of REASONS.
-        lift_m: Height it gained.
-        slip_m: Largest slip while it was held.
-        falls_free: Whether it fell when the jaws opened at last.
-        mass_kg: Its mass.
-        friction: Its coefficient of sliding friction.
+        reason: Reason for which the trial on the true object ended, one of REASONS.
+        lift_m: Height that the true object gained.
+        slip_m: Largest slip of the true object while it was held.
+        falls_free: Whether the true object fell when the jaws opened at last.
+        mass_kg: Mass of the true object.
+        friction: Coefficient of sliding friction of the true object.
         grip_n: Force limit of each jaw.
-        completed_success: Whether the completion, simulated in its place, was held.
-        completed_reason: What happened to that.
-        quality: The planner's, None where no grasp was found.
+        completed_success: Whether the completion, simulated in the object's place, was held.
+        completed_reason: Reason for which the trial on the completion ended.
+        quality: Quality that the planner gave the grasp, None where no grasp was found.
         width_m: Opening of the jaws, None where no grasp was found.
         cd_m: Chamfer distance of the completion to the truth, visible surfaces; None where there is no completion.
         f_score: F-score at 5 mm, None where there is no completion.
         note: Error that kept a grasp from being found.
         rank_held: Rank of the first of the best few grasps that held the true object, 1 the best; None where none did.
-        timings_s: Seconds by stage; the one thing that differs between equal runs.
+        timings_s: Seconds by stage; they alone differ between equal runs.
     """
 
     object: str
@@ -75,62 +75,58 @@ class Trial:
 
 @dataclass(frozen=True)
 class Report:
-    """All trials of a score with what they ran under.
+    """All rows of a score with the settings that they were made under.
 
     Attributes:
-        settings: Objects, views, seed and the numbers of the trial.
-        trials: In the order of objects, views, completers.
+        settings: Objects, views, seed and the numbers of a trial.
+        rows: In the order of objects, views, methods.
     """
 
     settings: Mapping[str, object]
-    trials: tuple[Trial, ...]
+    rows: tuple[ScoreRow, ...]
 
     def completers(self) -> dict[str, dict[str, Any]]:
-        """Summary of each completer, in the order of their first trials.
+        """Summary of each method, in the order of their first rows.
 
-        `attempts`, `successes`, `success_rate`, `ci95` (Wilson) and `reasons` are those on the true objects;
-        `any_of_best` the views on which one of the best few grasps held; `completed_world` has the same for the
-        simulated completions, and their `precision` (of the grasps that held there, how many held on the truth) and
-        `recall` (of those that held on the truth, how many held there), None where there were none; `cd_m` is the mean
-        over the views that were completed, `num_completed` their number, `timings_s` the mean
-        by stage.
+        `attempts` (the number of views), `successes`, `success_rate`, `ci95` (Wilson) and `reasons` count the trials on
+        the true objects; `any_of_best` counts the views on which one of the best few grasps held. `completed_world`
+        counts the trials on the completions, and has their `precision` (the share of the grasps that held there which
+        held on the truth) and `recall` (the share of the grasps that held on the truth which held there), None where
+        no grasp held. `cd_m` is the mean over the views that were completed, `num_completed` their number,
+        `timings_s` the mean by stage.
         """
-        names = dict.fromkeys(trial.completer for trial in self.trials)
-        return {name: _summary([trial for trial in self.trials if trial.completer == name]) for name in names}
+        return {name: _summary(rows) for name, rows in self._by_method().items()}
 
     def classes(self) -> dict[str, dict[str, dict[str, Any]]]:
-        """Success on the true objects by class and row, {class: {row: {"attempts", "successes", ...}}}."""
-        found: dict[str, dict[str, dict[str, Any]]] = {}
-        for category in sorted({trial.category for trial in self.trials}):
-            mine = [trial for trial in self.trials if trial.category == category]
-            rows = dict.fromkeys(trial.completer for trial in mine)
-            of_row = {row: [trial for trial in mine if trial.completer == row] for row in rows}
-            found[category] = {
-                row: _rates([t.reason for t in trials], sum(t.success for t in trials))
-                for row, trials in of_row.items()
-            }
-        return found
-
-    def paired(self) -> dict[str, dict[str, dict[str, Any]]]:
-        """Every row beside those that bracket it, and beside other planners' of its completer, on the same views.
-
-        {row: {other: {"pairs", "only_this", "only_other" (views on which one of the two held), "p" (exact McNemar,
-        two-sided)}}}, of the brackets that were scored, and the other planners.
-        """
-        held = {(t.completer, t.object, t.view): t.success for t in self.trials}
-        names = dict.fromkeys(t.completer for t in self.trials)
+        """Success on the true objects by class and method, {class: {method: {"attempts", "successes", ...}}}."""
+        categories = sorted({row.category for row in self.rows})
         return {
-            name: {
-                other: _paired(held, name, other)
-                for other in dict.fromkeys((*BRACKETS, *names))
-                if other in names and other != name and (other in BRACKETS or row_names(other)[0] == row_names(name)[0])
+            category: {
+                name: _rates([row.reason for row in rows], sum(row.success for row in rows))
+                for name, rows in self._by_method(category).items()
             }
-            for name in names
+            for category in categories
         }
 
+    def paired(self) -> dict[str, dict[str, dict[str, Any]]]:
+        """Every method beside the brackets that were scored, and beside other planners on the same completer.
+
+        {method: {other: {"pairs" (views that both have), "only_this" and "only_other" (views on which one of the two
+        held), "p" (exact McNemar, two-sided)}}}.
+        """
+        held = {(row.completer, row.object, row.view): row.success for row in self.rows}
+        methods = self._by_method()
+        paired: dict[str, dict[str, dict[str, Any]]] = {method: {} for method in methods}
+        for method in methods:
+            for other in dict.fromkeys((*BRACKETS, *methods)):
+                alike = other in BRACKETS or method_names(other)[0] == method_names(method)[0]
+                if other in methods and other != method and alike:
+                    paired[method][other] = _paired(held, method, other)
+        return paired
+
     def table(self) -> list[dict[str, str]]:
-        """One row a completer, as text for printing."""
-        return [_row(name, summary) for name, summary in self.completers().items()]
+        """Figures of each method, as text for printing."""
+        return [_table_row(name, summary) for name, summary in self.completers().items()]
 
     def to_json(self) -> str:
         """`{"settings", "completers", "classes", "paired", "trials"}`; equal runs differ in `timings_s` alone."""
@@ -139,7 +135,7 @@ class Report:
             "completers": self.completers(),
             "classes": self.classes(),
             "paired": self.paired(),
-            "trials": [asdict(trial) for trial in self.trials],
+            "trials": [asdict(row) for row in self.rows],
         }
         return json.dumps(content, indent=1, allow_nan=False)
 
@@ -151,10 +147,18 @@ class Report:
         """
         write_whole(path, self.to_json() + "\n")
 
+    def _by_method(self, category: str | None = None) -> dict[str, list[ScoreRow]]:
+        """Rows of each method, over all classes or one."""
+        found: dict[str, list[ScoreRow]] = {}
+        for row in self.rows:
+            if category is None or row.category == category:
+                found.setdefault(row.completer, []).append(row)
+        return found
 
-def row_names(row: str) -> tuple[str, str]:
-    """Of the completer and the planner of a row: "gfpnet/top-down", or "gfpnet" with the planner that goes unnamed."""
-    name, _, planner = row.partition("/")
+
+def method_names(method: str) -> tuple[str, str]:
+    """Names of a method's completer and planner: "gfpnet/top-down", or "gfpnet" with the default planner."""
+    name, _, planner = method.partition("/")
     return name, planner or "antipodal"
 
 
@@ -174,11 +178,11 @@ def mcnemar_p(only_first: int, only_second: int) -> float:
     return float(binomtest(only_first, differing, 0.5).pvalue) if differing else 1.0
 
 
-def _paired(held: Mapping[tuple[str, str, int], bool], name: str, rival: str) -> dict[str, Any]:
+def _paired(held: Mapping[tuple[str, str, int], bool], method: str, rival: str) -> dict[str, Any]:
     pairs = [
         (success, held[rival, thing, view])
-        for (completer, thing, view), success in held.items()
-        if completer == name and (rival, thing, view) in held
+        for (name, thing, view), success in held.items()
+        if name == method and (rival, thing, view) in held
     ]
     only_this = sum(mine and not other for mine, other in pairs)
     only_other = sum(other and not mine for mine, other in pairs)
@@ -186,21 +190,21 @@ def _paired(held: Mapping[tuple[str, str, int], bool], name: str, rival: str) ->
     return {"pairs": len(pairs), "only_this": only_this, "only_other": only_other, "p": p}
 
 
-def _summary(trials: Sequence[Trial]) -> dict[str, Any]:
-    distances = [trial.cd_m for trial in trials if trial.cd_m is not None]
-    both = sum(trial.success and trial.completed_success for trial in trials)
-    on_truth, on_completed = sum(t.success for t in trials), sum(t.completed_success for t in trials)
+def _summary(rows: Sequence[ScoreRow]) -> dict[str, Any]:
+    distances = [row.cd_m for row in rows if row.cd_m is not None]
+    both = sum(row.success and row.completed_success for row in rows)
+    on_truth, on_completed = sum(row.success for row in rows), sum(row.completed_success for row in rows)
     return {
-        **_rates([trial.reason for trial in trials], on_truth),
-        "any_of_best": sum(trial.rank_held is not None for trial in trials),
+        **_rates([row.reason for row in rows], on_truth),
+        "any_of_best": sum(row.rank_held is not None for row in rows),
         "cd_m": float(np.mean(distances)) if distances else None,
         "num_completed": len(distances),
         "completed_world": {
-            **_rates([trial.completed_reason for trial in trials], on_completed),
+            **_rates([row.completed_reason for row in rows], on_completed),
             "precision": both / on_completed if on_completed else None,
             "recall": both / on_truth if on_truth else None,
         },
-        "timings_s": {stage: float(np.mean([t.timings_s[stage] for t in trials])) for stage in trials[0].timings_s},
+        "timings_s": {stage: float(np.mean([row.timings_s[stage] for row in rows])) for stage in rows[0].timings_s},
     }
 
 
@@ -215,7 +219,7 @@ def _rates(reasons: Sequence[str], successes: int) -> dict[str, Any]:
     }
 
 
-def _row(name: str, summary: Mapping[str, Any]) -> dict[str, str]:
+def _table_row(name: str, summary: Mapping[str, Any]) -> dict[str, str]:
     failures = {reason: count for reason, count in summary["reasons"].items() if reason != "held"}
     return {
         "completer": name,

@@ -1,6 +1,6 @@
 """The demonstration's own objects: shapes of the held-out split whose convex parts ship with the package.
 
-Making the parts takes seconds an object, which a demonstration should not wait for.
+Making the parts takes seconds for each object, which a demonstration should not wait for.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from gfp_grasp.scenes.cache import mesh_sha256
 from gfp_grasp.types import CollisionMesh, ConvexPart, TrueObject
 
 FILE = "demo_parts.npz"
-# Family and place in its held-out split: unlike each other, and narrow enough somewhere for the gripper.
+# Families and places in their held-out splits: objects unlike each other, each narrow enough somewhere for the gripper.
 CLUTTER = (("mug", 7), ("bottle", 8), ("cup", 9), ("mug", 1))
 SINGLE = (("mug", 4),)
 
@@ -27,14 +27,14 @@ def pick_objects(places: Sequence[tuple[str, int]], *, seed: int = 0) -> tuple[O
     return tuple(splits[family][(place + seed) % len(splits[family])] for family, place in places)
 
 
-def load_prop(source: ObjectSource) -> TrueObject:
+def load_asset(source: ObjectSource) -> TrueObject:
     """The object with the parts that ship for its mesh; where there are none, they are made."""
     shipped = read_parts(data_dir("sim_scenes") / FILE).get(mesh_sha256(source.load_mesh()))
     return source.load(decompose=None if shipped is None else lambda mesh: shipped)
 
 
 def write_parts(objects: Sequence[TrueObject], path: Path) -> None:
-    """Write the parts of objects, each under its mesh's hash."""
+    """Write the convex parts of objects to a file, under the hash of each mesh."""
     arrays: dict[str, np.ndarray] = {}
     for thing in objects:
         key = mesh_sha256(thing.mesh)
@@ -46,7 +46,7 @@ def write_parts(objects: Sequence[TrueObject], path: Path) -> None:
 
 
 def read_parts(path: Path) -> dict[str, CollisionMesh]:
-    """Parts by the hash of the mesh that they belong to; nothing where the file is not there."""
+    """Convex parts by the hash of their mesh; nothing where the file is not there."""
     if not path.is_file():
         return {}
     with np.load(path, allow_pickle=False) as file:

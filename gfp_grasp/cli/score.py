@@ -35,31 +35,26 @@ def score(
     """Try the best grasp of each completer in the simulator, on the true object and on what was completed.
 
     `observed` (the hull of the seen points) is the bracket below, `oracle` (the true mesh) the one above.
-    With --json, trials are written beside that file as they come: the same command goes on where it was stopped.
+    With --json, rows are written beside that file as they come: the same command goes on where it was stopped.
     """
+    from gfp_grasp.score import FIGURES, ScoreConfig, prepare_folder, write_picture, write_score_page
     from gfp_grasp.score import score as run
 
-    if page is not None:
-        from gfp_grasp.scorepage import FIGURES, prepare_folder, write_score_page
-
-        prepare_folder(page)  # refused now, not after a night's work
-        json_file = json_file or page / FIGURES
-    journal = None if json_file is None else json_file.with_name(f"{json_file.stem}.part.jsonl")
-    report = run(
-        objects,
-        tuple(name.strip() for name in completers.split(",")),
+    config = ScoreConfig(
         views=views,
         grasps=grasps,
         seed=seed,
         split=split,
         clutter=clutter,
         limit=limit,
-        classes=classes.split(",") if classes else None,
-        workers=workers,
-        ray=ray,
-        journal=journal,
-        progress=track("trials"),
+        classes=tuple(classes.split(",")) if classes else None,
     )
+    if page is not None:
+        prepare_folder(page)  # refused now, not after a night's work
+        json_file = json_file or page / FIGURES
+    journal = None if json_file is None else json_file.with_name(f"{json_file.stem}.part.jsonl")
+    names = tuple(name.strip() for name in completers.split(","))
+    report = run(objects, names, config=config, workers=workers, ray=ray, journal=journal, progress=track("rows"))
     rows = report.table()
     headings = tuple(rows[0])
     table(headings, [tuple(row.values()) for row in rows], words=1)
@@ -67,8 +62,6 @@ def score(
         report.write(json_file)
         journal.unlink(missing_ok=True)
     if picture is not None:
-        from gfp_grasp.scorepage import write_picture
-
         write_picture(report, picture)
     if page is not None:
         made = write_score_page(report, page, objects=objects, split=split, progress=track("failures"))

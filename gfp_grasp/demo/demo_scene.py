@@ -1,0 +1,104 @@
+"""One scene of the demonstration: its objects, what became of them, and the files that tell of it."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+import trimesh
+
+from gfp_grasp.drawing import Item, spoken, write_clip, write_depth
+from gfp_grasp.scenes.stage import Stage
+from gfp_grasp.types import DepthImage
+
+HEADINGS = ("object", "class", "fit, mm", "CD, mm", "F", "parts", "grasps", "best grasp", "complete, s", "plan, s")
+WORD_HEADINGS = ("object", "class", "best grasp")  # columns of words, which start at the left
+
+
+@dataclass(frozen=True, eq=False)
+class DemoScene:
+    """One picture and what came of it.
+
+    Attributes:
+        title: Heading.
+        text: A sentence or two.
+        items: Objects of the picture.
+        folder: Folder that holds the scene's files.
+        pictures: File names in the folder, each with its caption.
+    """
+
+    title: str
+    text: str
+    items: tuple[Item, ...]
+    folder: Path
+    pictures: dict[str, str] = field(default_factory=dict)
+
+
+def figures_row(item: Item) -> tuple[str, ...]:
+    """Figures of an object under HEADINGS, as text."""
+    score = item.completion.scores.get(item.completion.category)
+    return (
+        item.name,
+        item.completion.category + (f" {score:.2f}" if score is not None else ""),
+        f"{1000 * item.residual_m:.1f}" if np.isfinite(item.residual_m) else "",
+        f"{1000 * item.errors.cd_m:.1f}" if item.errors else "?",
+        f"{item.errors.f_score:.2f}" if item.errors else "?",
+        str(len(item.completion.parts)),
+        str(len(item.grasps)),
+        spoken(item.outcome.reason) if item.outcome else ("not tried" if item.grasps else "none found"),
+        f"{item.seconds:.1f}",
+        f"{item.grasp_s:.1f}",
+    )
+
+
+def write_scene(
+    title: str,
+    text: str,
+    items: tuple[Item, ...],
+    folder: Path,
+    *,
+    image: DepthImage | None,
+    frames: Sequence[np.ndarray],
+    stages: Mapping[str, Stage],
+) -> DemoScene:
+    """Write the folder of a scene: pictures, clip, clouds, meshes, simulator scenes, figures.
+
+    Args:
+        title: Heading of the scene.
+        text: A sentence or two about it.
+        items: Its objects.
+        folder: Folder to write; it is made if it is not there.
+        image: Depth picture, or None for a bare cloud.
+        frames: Frames of the clip, (h, w, 3) uint8; none leaves the clip out.
+        stages: Simulator scenes to write, by name.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    pictures: dict[str, str] = {}
+    if image is not None:
+        write_depth(folder / "depth.png", image.depth_m)
+        pictures["depth.png"] = "What the camera saw: light is near, dark is far, grey came back with nothing."
+    if frames:
+        write_clip(folder / "grasp.gif", frames)
+        first = next(item for item in items if item.outcome)
+        assert first.outcome is not None
+        pictures["grasp.gif"] = (
+            f"The best grasp on {first.name}, tried on the {first.world}: {spoken(first.outcome.reason)}."
+        )
+    for item in items:
+        _write_item(item, folder)
+    for name, stage in stages.items():
+        stage.save(folder / f"scene_{name}.xml")
+    figures = [dict(zip(HEADINGS, figures_row(item), strict=True)) for item in items]
+    (folder / "figures.json").write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
+    return DemoScene(title, text, items, folder, pictures)
+
+
+def _write_item(item: Item, folder: Path) -> None:
+    """Cloud, completed mesh coloured by what was seen of it, and the object alone as MJCF."""
+    points = trimesh.PointCloud(np.asarray(item.completion.detection.cloud.points))
+    points.export(folder / f"{item.name}_cloud.ply")
+    item.completion.export(folder / f"{item.name}_completed.glb")
+    item.completion.export(folder / f"{item.name}_completed.xml")

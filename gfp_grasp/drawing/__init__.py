@@ -1,0 +1,30 @@
+"""What the viewer, the demonstration and the page of a score draw with: objects, films, pictures, charts, HTML."""
+
+from gfp_grasp.drawing.charts import bracket_chart, reasons_chart, reasons_legend, write_bars, write_curves
+from gfp_grasp.drawing.film import every_nth, filmed_trial
+from gfp_grasp.drawing.html import escaped, html_page, spoken, without_paths
+from gfp_grasp.drawing.items import Item, gripper_mesh, items_of, joined_boxes, make_item, plan_among
+from gfp_grasp.drawing.pictures import overlay, write_clip, write_depth
+
+__all__ = [
+    "Item",
+    "bracket_chart",
+    "escaped",
+    "every_nth",
+    "filmed_trial",
+    "gripper_mesh",
+    "html_page",
+    "items_of",
+    "joined_boxes",
+    "make_item",
+    "overlay",
+    "plan_among",
+    "reasons_chart",
+    "reasons_legend",
+    "spoken",
+    "without_paths",
+    "write_bars",
+    "write_clip",
+    "write_curves",
+    "write_depth",
+]

@@ -1,0 +1,262 @@
+"""Charts as SVG, which any browser shows: the score between its brackets, reasons, bars of methods, curves."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from html import escape
+from pathlib import Path
+from typing import Any
+
+from gfp_grasp.drawing.html import escaped, spoken
+from gfp_grasp.journal import write_whole
+from gfp_grasp.types import REASONS
+
+# Units of both charts of a score, which stand side by side on a wide page and one under the other on a phone.
+_WIDTH, _LEFT, _RIGHT, _TEXT = 480, 10, 470, 14
+_SPAN = _RIGHT - _LEFT
+_AXIS = 400  # length of the axis of success; the figures stand to its right
+_LONGEST_NAME = 34
+_TOP, _ROW, _BAR_ROW, _BAR = 42, 58, 52, 22
+_NARROW = 18  # a narrower share of a bar has no room for its number
+# Base colour and strokes of each reason: they differ in lightness or in hatch, so that grey tells them apart too.
+_LIGHT, _DARK = "#ffffffb0", "#00000090"
+_HATCHES: Mapping[str, tuple[str, str, str]] = {
+    "held": ("#2f66b3", "", ""),
+    "collided_on_approach": ("#dd8a33", "M-2,2 l4,-4 M0,8 l8,-8 M6,10 l4,-4", _DARK),
+    "no_contact": ("#f0cb66", "M2,2 h2 M6,6 h2", _DARK),
+    "slipped_on_lift": ("#86427e", "M0,2 h8 M0,6 h8", _LIGHT),
+    "slipped_on_shake": ("#c7a3d3", "M2,0 v8 M6,0 v8", _DARK),
+    "unstable": ("#3b3f45", "M0,0 l8,8 M8,0 l-8,8", _LIGHT),
+    "unreachable_width": ("#78838d", "M-2,6 l4,4 M0,0 l8,8 M6,-2 l4,4", _LIGHT),
+    "no_grasp_found": ("#dfe2e6", "", ""),
+}
+# Units of the bars and curves of a bench.
+_METHOD, _GAP, _NAMES, _PANEL, _MARGIN = 14, 5, 190, 300, 16
+_LINES = ("#1f6f8b", "#d9822b", "#5b8c3e", "#8e4585", "#7a7a7a")
+_OURS, _OTHER, _INK = "#1f6f8b", "#b9c4cb", "#22303a"
+
+
+def bracket_chart(summaries: Mapping[str, Mapping[str, Any]], brackets: Sequence[str]) -> str:
+    """Success of each row with its Wilson interval, on the true objects and, lighter, in the completed world.
+
+    Args:
+        summaries: Figures of each row: "attempts", "successes", "success_rate", "ci95" and, for the completed world,
+            the same under "completed_world".
+        brackets: The rows that bracket the others; those that were scored are lines from top to bottom.
+
+    Returns:
+        An <svg> element.
+    """
+    bottom = _TOP + len(summaries) * _ROW
+    lines = []
+    for share in (0.0, 0.25, 0.5, 0.75, 1.0):
+        lines.append(_line(_at(share), _TOP - 6, bottom, "grid"))
+        lines.append(_words(_at(share), bottom + 18, f"{share:g}", anchor=_anchor(share)))
+    rates = [(name, summaries[name]["success_rate"]) for name in brackets if name in summaries]
+    if len(rates) == len(brackets) > 1:
+        low, high = min(_at(rate) for _, rate in rates), max(_at(rate) for _, rate in rates)
+        lines.append(
+            f'<rect class="between" x="{low:.1f}" y="{_TOP - 6}" width="{high - low:.1f}" '
+            f'height="{bottom - _TOP + 6}"/>'
+        )
+    for place, (name, rate) in enumerate(rates):
+        y = 14 + 16 * place
+        lines.append(_line(_at(rate), y - 10, bottom, "bracket"))
+        side = 6 if rate < 0.5 else -6
+        lines.append(_words(_at(rate) + side, y, f"{name} {rate:.2f}", anchor="start" if rate < 0.5 else "end"))
+    for place, (name, summary) in enumerate(summaries.items()):
+        top = _TOP + place * _ROW
+        kind = "soft" if name in brackets else "name"
+        lines.append(_words(_LEFT, top + 14, name, kind=kind))
+        for figures, y, world in ((summary, top + 27, "true"), (summary["completed_world"], top + 41, "completed")):
+            lines.append(_whisker(figures, y, world, f"{name}, {world} world"))
+            told = f"{figures['successes']}/{figures['attempts']}"
+            lines.append(_words(_RIGHT, y + 5, told, anchor="end", kind="name" if world == "true" else "soft"))
+    return _svg(bottom + 26, "Success of the best grasp of each row, with 95 % intervals", lines)
+
+
+def reasons_chart(summaries: Mapping[str, Mapping[str, Any]]) -> str:
+    """Reasons for which each row's trials on the true objects ended, one bar a row.
+
+    Args:
+        summaries: Figures of each row, with "attempts" and "reasons" ({reason: count}).
+
+    Returns:
+        An <svg> element; `reasons_legend` says what its hatches mean.
+    """
+    lines = [f"<defs>{''.join(_pattern(reason) for reason in _met(summaries))}</defs>"]
+    for place, (name, summary) in enumerate(summaries.items()):
+        top = place * _BAR_ROW
+        lines.append(_words(_LEFT, top + 14, name, kind="name"))
+        lines.append(_words(_RIGHT, top + 14, f"{summary['attempts']} attempts", anchor="end"))
+        left = float(_LEFT)
+        for reason, count in summary["reasons"].items():
+            width = _SPAN * count / summary["attempts"]
+            lines.append(
+                f'<rect class="part" x="{left:.1f}" y="{top + 20}" width="{width:.1f}" height="{_BAR}" '
+                f'fill="url(#{_pattern_id(reason)})"><title>{escaped(name)}: {escaped(spoken(reason))} {count}</title>'
+                "</rect>"
+            )
+            if width >= _NARROW:
+                lines.append(_words(left + width / 2, top + 36, str(count), anchor="middle", kind="count"))
+            left += width
+    return _svg(len(summaries) * _BAR_ROW, "Reasons of each row's attempts on the true objects", lines)
+
+
+def reasons_legend(summaries: Mapping[str, Mapping[str, Any]]) -> str:
+    """The hatches of `reasons_chart` with their reasons, as HTML."""
+    return "".join(
+        f'<span><svg class="swatch" viewBox="0 0 24 16" aria-hidden="true"><rect class="part" width="24" height="16" '
+        f'fill="url(#{_pattern_id(reason)})"/></svg>{escaped(spoken(reason))}</span>'
+        for reason in _met(summaries)
+    )
+
+
+def _met(summaries: Mapping[str, Mapping[str, Any]]) -> list[str]:
+    return [reason for reason in REASONS if any(reason in summary["reasons"] for summary in summaries.values())]
+
+
+def _pattern(reason: str) -> str:
+    colour, strokes, ink = _HATCHES[reason]
+    hatch = f'<path d="{strokes}" stroke="{ink}" stroke-width="1.6" fill="none"/>' if strokes else ""
+    return (
+        f'<pattern id="{_pattern_id(reason)}" width="8" height="8" patternUnits="userSpaceOnUse">'
+        f'<rect width="8" height="8" fill="{colour}"/>{hatch}</pattern>'
+    )
+
+
+def _pattern_id(reason: str) -> str:
+    return "reason-" + reason.replace("_", "-")
+
+
+def _whisker(rates: Mapping[str, Any], y: float, kind: str, name: str) -> str:
+    low, high = (_at(share) for share in rates["ci95"])
+    rate = rates["success_rate"]
+    told = f"{name}: {rates['successes']} of {rates['attempts']}, {rates['ci95'][0]:.2f} to {rates['ci95'][1]:.2f}"
+    return (
+        f'<g class="{kind}"><title>{escaped(told)}</title>'
+        f'<path d="M{low:.1f},{y - 4} v8 M{low:.1f},{y} H{high:.1f} M{high:.1f},{y - 4} v8"/>'
+        f'<circle cx="{_at(rate):.1f}" cy="{y}" r="5"/></g>'
+    )
+
+
+def _words(x: float, y: float, words: str, *, anchor: str = "start", kind: str = "soft") -> str:
+    short = words if len(words) <= _LONGEST_NAME else words[: _LONGEST_NAME - 1] + "…"
+    place = f'x="{x:.1f}" y="{y:.1f}" font-size="{_TEXT}" text-anchor="{anchor}"'
+    return f'<text class="{kind}" {place}>{escaped(short)}</text>'
+
+
+def _line(x: float, top: float, bottom: float, kind: str) -> str:
+    return f'<path class="{kind}" d="M{x:.1f},{top} V{bottom}"/>'
+
+
+def _at(share: float) -> float:
+    return _LEFT + _AXIS * share
+
+
+def _anchor(share: float) -> str:
+    """Text anchor of a figure under the axis: the figures at its ends stay inside of the chart."""
+    return {0.0: "start", 1.0: "end"}.get(share, "middle")
+
+
+def _svg(height: int, label: str, lines: Sequence[str]) -> str:
+    drawn = "\n".join(lines)
+    return (
+        f'<svg class="chart" viewBox="0 0 {_WIDTH} {height}" role="img" aria-label="{escaped(label)}">\n{drawn}\n</svg>'
+    )
+
+
+def write_bars(rows: Mapping[str, Mapping[str, Mapping]], path: Path, *, title: str) -> Path:
+    """Draw the mean Chamfer distance of every method, one panel a class; the package's default stands out.
+
+    Args:
+        rows: {class: {method: figures with "cd_m"}}.
+        path: An .svg file.
+        title: Heading of the chart.
+
+    Returns:
+        The path.
+    """
+    classes = list(rows)
+    methods = [m for m in next(iter(rows.values())) if any(_cd_mm(rows[c][m]) is not None for c in classes)]
+    longest = max((_cd_mm(rows[c][m]) or 0.0 for c in classes for m in methods), default=1.0) or 1.0
+    width = _NAMES + len(classes) * _PANEL + _MARGIN
+    height = 74 + len(methods) * (_METHOD + _GAP)
+    lines = []
+    for column, name in enumerate(classes):
+        left = _NAMES + column * _PANEL
+        lines.append(_text(left, 60, name, weight="bold"))
+        for row, method in enumerate(methods):
+            top, value = 68 + row * (_METHOD + _GAP), _cd_mm(rows[name][method])
+            if column == 0:
+                weight = "bold" if method == "gfpnet" else "normal"
+                lines.append(_text(_NAMES - 8, top + _METHOD - 3, method, anchor="end", weight=weight))
+            if value is None:
+                continue
+            length = value / longest * (_PANEL - 60)
+            colour = _OURS if method == "gfpnet" else _OTHER
+            lines.append(f'<rect x="{left}" y="{top}" width="{length:.1f}" height="{_METHOD}" fill="{colour}"/>')
+            lines.append(_text(left + length + 4, top + _METHOD - 3, f"{value:.2f}"))
+    return _write_chart(path, width, height, title, "mean Chamfer distance to the truth, mm; shorter is better", lines)
+
+
+def write_curves(rows: Mapping[str, Sequence[float]], path: Path, *, title: str, axis: str) -> Path:
+    """Draw one line for each row over 1, 2, 3 and so on.
+
+    Args:
+        rows: {name: values, mm}.
+        path: An .svg file.
+        title: Heading of the chart.
+        axis: What is counted along the bottom.
+
+    Returns:
+        The path.
+    """
+    width, height, left, top = 620, 360, 60, 60
+    highest = 1.1 * max(max(values) for values in rows.values())
+    most = max(len(values) for values in rows.values())
+    across, down = (width - left - 190) / max(most - 1, 1), height - top - 50
+
+    def at(i: int, value: float) -> tuple[float, float]:
+        return left + i * across, top + down * (1 - value / highest)
+
+    lines = [_text(left + across * (most - 1) / 2, height - 10, axis, anchor="middle")]
+    for i in range(most):
+        lines.append(_text(left + i * across, height - 30, str(i + 1), anchor="middle"))
+    for k in range(5):
+        y = at(0, highest * k / 4)[1]
+        lines.append(
+            f'<line x1="{left}" x2="{left + across * (most - 1):.1f}" y1="{y:.1f}" y2="{y:.1f}" stroke="#ddd"/>'
+        )
+        lines.append(_text(left - 6, y + 4, f"{highest * k / 4:.1f}", anchor="end"))
+    for number, (name, values) in enumerate(rows.items()):
+        colour = _LINES[number % len(_LINES)]
+        points = " ".join(f"{x:.1f},{y:.1f}" for x, y in (at(i, v) for i, v in enumerate(values)))
+        lines.append(f'<polyline points="{points}" fill="none" stroke="{colour}" stroke-width="2"/>')
+        y = top + 16 * number
+        lines.append(f'<rect x="{width - 180}" y="{y}" width="12" height="4" fill="{colour}"/>')
+        lines.append(_text(width - 162, y + 6, name))
+    return _write_chart(path, width, height, title, "Chamfer distance of the predicted patch to its label, mm", lines)
+
+
+def _write_chart(path: Path, width: int, height: int, title: str, subtitle: str, lines: Sequence[str]) -> Path:
+    opening = [
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height}" viewBox="0 0 {width} {height}"'
+        f' font-family="Helvetica, Arial, sans-serif" font-size="12" fill="{_INK}">',
+        f'<rect width="{width}" height="{height}" fill="white"/>',
+        _text(_MARGIN, 22, title, size=15, weight="bold"),
+        _text(_MARGIN, 40, subtitle),
+    ]
+    write_whole(path, "\n".join([*opening, *lines, "</svg>"]) + "\n")
+    return path
+
+
+def _cd_mm(figures: Mapping) -> float | None:
+    return None if figures.get("cd_m") is None else 1000 * float(figures["cd_m"])
+
+
+def _text(x: float, y: float, words: str, *, size: int = 12, weight: str = "normal", anchor: str = "start") -> str:
+    return (
+        f'<text x="{x:.1f}" y="{y:.1f}" font-size="{size}" font-weight="{weight}" text-anchor="{anchor}">'
+        f"{escape(words)}</text>"
+    )

@@ -1,0 +1,238 @@
+"""One row of a score: one view of one object under one method, its best grasp tried in both worlds."""
+
+from __future__ import annotations
+
+import time
+import zlib
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import islice
+from typing import Any
+
+import numpy as np
+
+from gfp_grasp.completers import Oracle
+from gfp_grasp.completion import Completion
+from gfp_grasp.detect.box import upright_box
+from gfp_grasp.envs import GfpGraspEnv
+from gfp_grasp.errors import GfpGraspError, InvalidOption, WorkerLost
+from gfp_grasp.grasps import GraspConfig, plan_grasps, planner
+from gfp_grasp.grasps.planners import PLANNERS
+from gfp_grasp.metrics import CompletionErrors, completion_errors
+from gfp_grasp.primitives import list_primitives
+from gfp_grasp.score.report import ScoreRow, method_names
+from gfp_grasp.types import Detection, Grasp, PointCloud, SupportPlane, TrueObject
+
+# Errors of a user's own planner, which cost its own rows and no others.
+_OF_USERS = (ArithmeticError, AssertionError, AttributeError, LookupError, RuntimeError, TypeError, ValueError)
+_UP = np.array([0.0, 0.0, 1.0])
+# Many more tries than for a ranking: nothing found is to mean that there is nothing.
+_THOROUGH = GraspConfig(num_rays=20_000, num_lines=2000, num_looks=16_000, num_poses=2400)
+
+
+@dataclass(frozen=True, kw_only=True)
+class ScoreConfig:
+    """Which objects are scored, and on how many views and grasps of each.
+
+    Attributes:
+        views: Number of views of each object.
+        grasps: Number of the best grasps that are tried until one holds; the first alone is the score.
+        seed: Seed of poses, views, noise and planning.
+        split: Split of procedural families: train, val or test.
+        clutter: Number of other objects, from the same choice, that stand around each object.
+        limit: Most objects to score; None scores all.
+        classes: Classes whose objects are scored; None takes those that have a primitive and objects of unknown class,
+            ("*",) takes all.
+    """
+
+    views: int = 4
+    grasps: int = 5
+    seed: int = 0
+    split: str = "test"
+    clutter: int = 0
+    limit: int | None = None
+    classes: tuple[str, ...] | None = None
+
+    def __post_init__(self) -> None:
+        limit = 1 if self.limit is None else self.limit
+        for count, what in ((self.views, "views"), (self.grasps, "grasps"), (limit, "limit")):
+            if count < 1:
+                raise InvalidOption(f"{what} is {count}; at least 1 is expected")
+        if self.clutter < 0:
+            raise InvalidOption(f"clutter is {self.clutter}; zero or more is expected")
+
+    def wanted(self) -> set[str]:
+        """Classes whose objects are scored, "" for unknown ones."""
+        return {*list_primitives(), ""} if self.classes is None else set(self.classes)
+
+
+@dataclass(frozen=True)
+class RowJob:
+    """What a row is made from; picklable.
+
+    Attributes:
+        objects: Families, file or folder, as `scenes.load_objects` takes them.
+        number: Number of the object among them.
+        object_name: Name of the object.
+        method: Name of the completer, and behind a slash the planner's, if it is not `antipodal`.
+        view: Number of the view.
+        config: Settings of the whole score.
+    """
+
+    objects: str
+    number: int
+    object_name: str
+    method: str
+    view: int
+    config: ScoreConfig
+
+    @property
+    def episode_seed(self) -> int:
+        """Seed of the view, the same for every method, whatever else is scored."""
+        entropy = [self.config.seed, zlib.crc32(self.object_name.encode()), self.view]
+        return int(np.random.SeedSequence(entropy).generate_state(1)[0])
+
+
+def is_graspable(truth: TrueObject) -> bool:
+    """Whether the planner finds a grasp on an object as it stands, when it knows all of the object.
+
+    A jug that is wider everywhere than the jaws open tells nothing about a completion.
+    """
+    points = np.asarray(truth.mesh.vertices)
+    detection = Detection(PointCloud(points), _UP, SupportPlane(_UP, 0.0), "", {}, upright_box(points, _UP))
+    known = Oracle()(detection, truth.mesh, truth.collision)
+    return any(plan_grasps(known, 1, config=config) for config in (GraspConfig(), _THOROUGH))
+
+
+def make_row(job: RowJob) -> ScoreRow:
+    """Make a row from its seeds: the same job gives the same row, but for its timings."""
+    started = time.perf_counter()
+    env = _env(job, "true")
+    _, info = env.reset(seed=job.episode_seed, options={"object": job.number})
+    completed_at = time.perf_counter()
+    found, note = (), str(info["completion_error"])
+    if env.completion is not None:
+        found, note = best_grasps(env, env.completion, job.method, job.config.grasps, job.config.seed)
+    planned_at = time.perf_counter()
+    grasp = found[0] if found else None
+    true_info, completed_info = _in_both_worlds(env, job, grasp)
+    rank_held = 1 if true_info["is_success"] else _first_held(env, found)
+    executed_at = time.perf_counter()
+    errors = _errors(env, job)
+    return ScoreRow(
+        object=job.object_name,
+        category=str(info["category"]),
+        completer=job.method,
+        view=job.view,
+        episode_seed=job.episode_seed,
+        success=bool(true_info["is_success"]),
+        reason=str(true_info["reason"]),
+        lift_m=float(true_info["lift_m"]),
+        slip_m=float(true_info["slip_m"]),
+        falls_free=bool(true_info["falls_free"]),
+        mass_kg=float(info["mass_kg"]),
+        friction=float(info["friction"]),
+        grip_n=float(info["grip_n"]),
+        completed_success=bool(completed_info["is_success"]),
+        completed_reason=str(completed_info["reason"]),
+        quality=None if grasp is None else grasp.quality,
+        width_m=None if grasp is None else grasp.width_m,
+        cd_m=None if errors is None else errors.cd_m,
+        f_score=None if errors is None else errors.f_score,
+        note=note,
+        rank_held=rank_held,
+        timings_s={
+            "complete": completed_at - started,
+            "plan": planned_at - completed_at,
+            "execute": executed_at - planned_at,
+        },
+    )
+
+
+def lost_row(job: RowJob, error: WorkerLost) -> ScoreRow:
+    """A failed row: the night's work goes on without it."""
+    return ScoreRow(
+        object=job.object_name,
+        category="",
+        completer=job.method,
+        view=job.view,
+        episode_seed=job.episode_seed,
+        success=False,
+        reason="no_grasp_found",
+        lift_m=0.0,
+        slip_m=0.0,
+        falls_free=False,
+        mass_kg=0.0,
+        friction=0.0,
+        grip_n=0.0,
+        completed_success=False,
+        completed_reason="no_grasp_found",
+        quality=None,
+        width_m=None,
+        cd_m=None,
+        f_score=None,
+        note=f"WorkerLost: {error}",
+        timings_s={"complete": 0.0, "plan": 0.0, "execute": 0.0},
+    )
+
+
+def best_grasps(
+    env: GfpGraspEnv, completion: Completion, method: str, num: int, seed: int
+) -> tuple[tuple[Grasp, ...], str]:
+    """The best grasps that a method's planner finds on a completion, and a note where there are none."""
+    name = method_names(method)[1]
+    try:
+        found = tuple(islice(planner(name)(completion, num, seed=seed), num))
+        for grasp in found:
+            if not isinstance(grasp, Grasp):
+                raise InvalidOption(
+                    f"planner {name!r} gave a {type(grasp).__name__}; a gfp_grasp.types.Grasp is expected"
+                )
+            env.action_code.encode(grasp)
+    except GfpGraspError as error:  # e.g. the completion could not be decomposed
+        return (), f"{type(error).__name__}: {error}"
+    except _OF_USERS as error:
+        if name in PLANNERS:
+            raise
+        return (), f"planner {name!r} failed with {type(error).__name__}: {error}"
+    return found, "" if found else "the planner found no grasp"
+
+
+@lru_cache(maxsize=16)
+def _cached_env(objects: str, split: str, clutter: int, completer_name: str, world: str) -> GfpGraspEnv:
+    """One environment a process and completer, so that scenes are compiled once."""
+    env = GfpGraspEnv(objects=objects, split=split, clutter=clutter, completer=completer_name, world=world)
+    env.kept_worlds = 1 + clutter  # a score goes object by object
+    return env
+
+
+def _env(job: RowJob, world: str) -> GfpGraspEnv:
+    return _cached_env(job.objects, job.config.split, job.config.clutter, method_names(job.method)[0], world)
+
+
+def _first_held(env: GfpGraspEnv, grasps: Sequence[Grasp]) -> int | None:
+    """Rank of the first grasp after the best that holds the true object."""
+    for rank, grasp in enumerate(grasps[1:], start=2):
+        if env.step(env.action_code.encode(grasp))[4]["is_success"]:
+            return rank
+    return None
+
+
+def _in_both_worlds(env: GfpGraspEnv, job: RowJob, grasp: Grasp | None) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
+    """Info of the trial on the true object and of that on the completed one."""
+    if grasp is None:
+        nothing = {"is_success": False, "reason": "no_grasp_found", "lift_m": 0.0, "slip_m": 0.0, "falls_free": False}
+        return nothing, nothing
+    action = env.action_code.encode(grasp)
+    true_info = env.step(action)[4]
+    other = _env(job, "completed")
+    other.reset(seed=job.episode_seed, options={"object": job.number, "completion": env.completion})
+    return true_info, other.step(action)[4]
+
+
+def _errors(env: GfpGraspEnv, job: RowJob) -> CompletionErrors | None:
+    episode = env.episode
+    if episode.completion is None:
+        return None
+    return completion_errors(episode.completion.mesh, episode.true_mesh(), rng=np.random.default_rng(job.episode_seed))
