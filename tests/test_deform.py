@@ -7,13 +7,23 @@ import trimesh
 from scipy.spatial import KDTree
 from toy_primitive import random_cup, see, toy_cup_primitive
 
-from gfp_grasp.deform import DeformConfig, SnakeConfig, deform, evolve, template_points
+from gfp_grasp.deform import (
+    NUM_SOURCE,
+    NUM_TEMPLATE,
+    DeformConfig,
+    SnakeConfig,
+    deform,
+    evolve,
+    make_patches,
+    template_points,
+)
+from gfp_grasp.deform.fold_free import damp_until_solid, diffuse
 from gfp_grasp.deform.gfpnet import FIT, PaperNet, PatchNet, make_network
-from gfp_grasp.deform.patches import NUM_SOURCE, NUM_TEMPLATE, blend, make_patches
-from gfp_grasp.deform.settle import damp_until_solid, diffuse
+from gfp_grasp.deform.patches import blend
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.meshes import crossing_faces, sample_surface, vertex_normals
 from gfp_grasp.register import FitConfig, fit_primitive
+from gfp_grasp.types import PointCloud
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +37,7 @@ def test_snake_draws_a_sphere_onto_a_larger_one():
     points, normals, _ = sample_surface(
         trimesh.creation.icosphere(subdivisions=5, radius=0.054), 20000, np.random.default_rng(0)
     )
-    moved = evolve(sphere.vertices, sphere.faces, points, normals, config=SnakeConfig(steps=30))
+    moved = evolve(sphere.vertices, sphere.faces, points, normals, unit_m=0.03, config=SnakeConfig(steps=30))
     assert np.linalg.norm(moved, axis=1) == pytest.approx(np.full(len(moved), 0.054), abs=3e-4)
 
 
@@ -39,7 +49,8 @@ def test_snake_does_not_pull_a_wall_to_the_other_side_of_it():
     xy = np.random.default_rng(0).uniform(-0.03, 0.03, (4000, 2))
     points = np.column_stack([xy, np.full(4000, 0.0015)])
     normals = np.tile([0.0, 0.0, 1.0], (4000, 1))
-    moved = evolve(plate.vertices, plate.faces, points, normals, config=SnakeConfig(steps=10, elastic=0.0, bending=0.0))
+    loose = SnakeConfig(steps=10, elastic=0.0, bending=0.0)
+    moved = evolve(plate.vertices, plate.faces, points, normals, unit_m=0.03, config=loose)
     middle = np.abs(plate.vertices[:, :2]).max(axis=1) < 0.02
     top, bottom = middle & (plate.vertices[:, 2] > 0), middle & (plate.vertices[:, 2] < 0)
     assert moved[top, 2] == pytest.approx(np.full(top.sum(), 0.0015), abs=1e-4)
@@ -48,17 +59,18 @@ def test_snake_does_not_pull_a_wall_to_the_other_side_of_it():
 
 def test_nothing_observed_moves_nothing():
     sphere = trimesh.creation.icosphere(subdivisions=2)
-    assert np.array_equal(evolve(sphere.vertices, sphere.faces, np.zeros((0, 3)), np.zeros((0, 3))), sphere.vertices)
+    none = np.zeros((0, 3))
+    assert np.array_equal(evolve(sphere.vertices, sphere.faces, none, none, unit_m=0.03), sphere.vertices)
 
 
 def test_symmetry_carries_points_to_the_hidden_side_and_marks_them(fitted):
     fit, detection, truth = fitted
     template = template_points(fit, detection)
     plain = template_points(fit, detection, symmetry=False)
-    assert not plain.carried.any()
-    assert len(plain.points) == (~template.carried).sum()
-    assert template.carried.sum() > 100
-    world = template.points[template.carried] @ fit.T_world_object[:3, :3].T + fit.T_world_object[:3, 3]
+    assert not plain.mirrored.any()
+    assert len(plain.points) == (~template.mirrored).sum()
+    assert template.mirrored.sum() > 100
+    world = template.points[template.mirrored] @ fit.T_world_object[:3, :3].T + fit.T_world_object[:3, 3]
     # The cup is round, so its mirror image is itself: carried points lie on the true surface.
     _, distance, _ = trimesh.proximity.closest_point(truth, world[::5])
     assert np.median(distance) < 0.002
@@ -75,7 +87,9 @@ def test_patches_cover_every_vertex_and_hold_what_they_promise(fitted):
     assert np.linalg.det(patches.frames) == pytest.approx(np.ones(len(patches.frames)))
     # One displacement for all comes back as itself wherever a patch reaches.
     step = np.array([0.001, -0.002, 0.003])
-    moved = np.broadcast_to(np.einsum("bij,i->bj", patches.frames, step)[:, None] / 0.03, patches.source.shape)
+    moved = np.broadcast_to(
+        np.einsum("bij,i->bj", patches.frames, step)[:, None] / patches.unit_m, patches.source.shape
+    )
     displacement, weight = blend(patches, moved, len(vertices))
     assert displacement[weight > 1e-6] == pytest.approx(np.tile(step, ((weight > 1e-6).sum(), 1)), abs=1e-12)
 
@@ -197,3 +211,23 @@ def test_the_network_undoes_a_shift_that_is_seen(fitted):
 def test_unknown_method_is_refused_with_the_legal_ones():
     with pytest.raises(InvalidOption, match="gfpnet-paper"):
         DeformConfig(method="magic")  # type: ignore[arg-type]
+
+
+def test_a_thing_as_large_as_a_car_is_deformed_as_a_cup_is(fitted):
+    """The toy cup, its fit and its observation, all 64 times as large: so is the answer, by every method."""
+    fit, detection, _ = fitted
+    times = 64.0  # a power of two: rounding is the same
+    primitive = replace(fit.primitive, vertices=times * fit.primitive.vertices, modes=times * fit.primitive.modes)
+    T = fit.T_world_object.copy()
+    T[:3, 3] *= times
+    large = replace(fit, primitive=primitive, T_world_object=T)
+    cloud = PointCloud(times * detection.cloud.points, times * detection.cloud.viewpoint)
+    assert np.ptp(large.vertices_world(), axis=0).max() > 4.0
+    for method in ("gfpnet", "gfs", "gfpnet-paper"):
+        config = DeformConfig(method=method)
+        small = deform(fit, detection, config=config)
+        big = deform(large, replace(detection, cloud=cloud), config=config)
+        moved = np.abs(small.vertices - fit.vertices_world()).max()
+        assert moved > 1e-4
+        assert np.abs(big.vertices / times - small.vertices).max() < 5e-3 * moved
+        assert big.sigma_m / times == pytest.approx(small.sigma_m, rel=0.01, nan_ok=True)

@@ -3,8 +3,8 @@
 import numpy as np
 import torch
 
+from gfp_grasp.deform import make_patches, patch_unit_m
 from gfp_grasp.deform.gfpnet import CHANGE, FIT, PatchNet, fit_features, mode_field
-from gfp_grasp.deform.patches import UNIT_M, make_patches
 from gfp_grasp.deform.template import TemplatePoints
 from gfp_grasp.primitives import load_primitive
 from gfp_grasp.train.gfpnet import Objects, _field, _object, augmented, point_loss
@@ -48,14 +48,15 @@ def test_a_change_of_the_fit_moves_the_patches_of_training_as_it_moves_the_verti
         fit = FittedPrimitive(primitive, np.eye(4), label.scale, label.coefficients, 0.0)
         field = mode_field(fit, own)
         p = make_patches(primitive, label.vertices, label.template, label.viewpoint)
-        wanted = np.einsum("bij,bni->bnj", p.frames, field[p.index]) / UNIT_M
+        wanted = np.einsum("bij,bni->bnj", p.frames, field[p.index]) / p.unit_m
         assert np.abs(moved.numpy() - wanted).max() < 1e-3 * np.abs(wanted).max()
 
 
 def test_offsets_of_the_label_lead_from_the_source_to_the_target():
     label = _label("bottle", np.random.default_rng(1))
     objects = _objects(label)
-    world = torch.einsum("opij,opnj->opni", objects.frames, objects.offset) * UNIT_M
+    unit_m = patch_unit_m(load_primitive("bottle"))
+    world = torch.einsum("opij,opnj->opni", objects.frames, objects.offset) * unit_m
     assert torch.allclose(world, torch.tensor([0.001, 0.002, 0.003]), atol=1e-6)
 
 

@@ -16,7 +16,6 @@ import torch
 from torch import Tensor, nn
 
 from gfp_grasp.deform.gfpnet import PaperNet
-from gfp_grasp.deform.patches import UNIT_M
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.train.gfpnet import paper_loss, single_patches
 from gfp_grasp.train.loop import Batch, LoopConfig, shuffled, train
@@ -105,26 +104,29 @@ def _row(
         checkpoint=checkpoint,
     )
     picked = torch.randperm(len(held_out[0]), generator=torch.Generator().manual_seed(0))[:_MEASURED]
-    source, template, target = (part[picked].float() for part in held_out)
+    source, template, target, unit_m = (part[picked].float() for part in held_out)
     return {
-        "cd_mm": [round(_chamfer_mm(network, source, template, target, m), 4) for m in ITERATIONS],
+        "cd_mm": [round(_chamfer_mm(network, source, template, target, unit_m, m), 4) for m in ITERATIONS],
         "hours": round(hours, 4),
     }
 
 
 def _noisy(stream, noise_m: float):
     def batches(generator: torch.Generator):
-        for source, template, target in stream(generator):
-            noise = torch.randn(template.shape, generator=generator) * (noise_m / UNIT_M)
-            yield source, template.float() + noise, target
+        for source, template, target, unit_m in stream(generator):
+            noise = torch.randn(template.shape, generator=generator) * (noise_m / unit_m)[:, None, None]
+            yield source, template.float() + noise, target, unit_m
 
     return batches
 
 
-def _chamfer_mm(network: nn.Module, source: Tensor, template: Tensor, target: Tensor, iterations: int) -> float:
+def _chamfer_mm(
+    network: nn.Module, source: Tensor, template: Tensor, target: Tensor, unit_m: Tensor, iterations: int
+) -> float:
     with torch.inference_mode():
         moved = torch.cat(
             [network(s, t, iterations=iterations) for s, t in zip(source.split(256), template.split(256), strict=True)]
         )
         pairwise = torch.cdist(moved, target)
-    return float(pairwise.amin(dim=2).mean() + pairwise.amin(dim=1).mean()) * UNIT_M * 1000
+    chamfer = pairwise.amin(dim=2).mean(dim=1) + pairwise.amin(dim=1).mean(dim=1)
+    return float((chamfer * unit_m).mean()) * 1000

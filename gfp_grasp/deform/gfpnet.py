@@ -24,18 +24,17 @@ from safetensors.torch import load_file
 from torch import Tensor, nn
 
 from gfp_grasp.assets import data_file
-from gfp_grasp.deform.patches import PULL_M, UNIT_M
+from gfp_grasp.deform.layout import patch_unit_m
+from gfp_grasp.deform.patches import MISFIT_SHARE, NUM_POSE_FEATURES, NUM_RESIDUALS
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.register.pcrnet import mlp
 from gfp_grasp.types import HANDLE, FittedPrimitive, GenericPrimitive
 
-PULL = 8  # numbers that say where template points want a source point
-PLACE = 10  # numbers that say where a patch is
 MODES = 24  # of a primitive that the network knows
 PRIMITIVES = ("cup", "cup.lidded", "cup.stemmed", "mug", "bottle", "bottle.jug", "bottle.spray")  # that it learns
 FIT = MODES + 3 + len(PRIMITIVES) + 1  # numbers that say what was fitted
 CHANGE = MODES + 6  # numbers that change a fit: modes, log scale, translation
-_STEP = PULL_M / UNIT_M  # unit of the answer: a network is slow to learn numbers far smaller than its others
+_STEP = MISFIT_SHARE  # unit of the answer: a network is slow to learn numbers far smaller than its others
 
 Variant = Literal["patch", "paper-iterative", "paper-oneshot"]
 
@@ -49,9 +48,9 @@ class PatchNet(nn.Module):
 
     def __init__(self, width: int = 128, *, layers: int = 2) -> None:
         super().__init__()
-        self.source = mlp(6 + PULL, width, width)
+        self.source = mlp(6 + NUM_RESIDUALS, width, width)
         self.template = mlp(7, width // 2, width, width)
-        self.place = mlp(PLACE, width, width)
+        self.place = mlp(NUM_POSE_FEATURES, width, width)
         self.fit = mlp(FIT, width, width)
         self.code = nn.Linear(4 * width, width)
         block = nn.TransformerEncoderLayer(
@@ -74,9 +73,9 @@ class PatchNet(nn.Module):
         source_normals: Tensor,
         template: Tensor,
         template_normals: Tensor,
-        carried: Tensor,
-        pull: Tensor,
-        place: Tensor,
+        mirrored: Tensor,
+        residuals: Tensor,
+        pose_features: Tensor,
         fit: Tensor,
     ) -> tuple[Tensor, Tensor, Tensor]:
         """Deform all patches of some objects.
@@ -86,9 +85,9 @@ class PatchNet(nn.Module):
             source_normals: (o, p, n, 3).
             template: (o, p, m, 3); of no effect where the patch sees nothing.
             template_normals: (o, p, m, 3).
-            carried: (o, p, m), 1 where symmetry brought the point.
-            pull: (o, p, n, c) as in `Patches`.
-            place: (o, p, c) as in `Patches`; its last channel is the share of template points that the patch sees.
+            mirrored: (o, p, m), 1 where symmetry brought the point.
+            residuals: (o, p, n, c) as in `Patches`.
+            pose_features: (o, p, c) as in `Patches`; its last channel is how many template points the patch sees.
             fit: (o, c) as of `fit_features`.
 
         Returns:
@@ -96,14 +95,14 @@ class PatchNet(nn.Module):
             together lead, and the change (o, CHANGE) of the fit, as `mode_field` reads it.
         """
         o, p, n, _ = source.shape
-        sees = (place[..., -1] > 0).flatten()[:, None]
-        s = self.source(torch.cat([source, source_normals, pull], dim=-1).flatten(0, 1))
-        t = self.template(torch.cat([template, template_normals, carried[..., None]], dim=-1).flatten(0, 1))
+        sees = (pose_features[..., -1] > 0).flatten()[:, None]
+        s = self.source(torch.cat([source, source_normals, residuals], dim=-1).flatten(0, 1))
+        t = self.template(torch.cat([template, template_normals, mirrored[..., None]], dim=-1).flatten(0, 1))
         pooled_t = torch.where(sees, t.amax(dim=1), 0.0)
         # The mean, not the largest, of the source: it is the same for any number of points.
         own = torch.cat([s.mean(dim=1), pooled_t], dim=-1).view(o, p, -1)
         whole = self.fit(fit)
-        here = torch.cat([own, self.place(place), whole[:, None].expand(-1, p, -1)], dim=-1)
+        here = torch.cat([own, self.place(pose_features), whole[:, None].expand(-1, p, -1)], dim=-1)
         codes = self.exchange(self.code(here))
         change = self.change(torch.cat([codes.mean(dim=1), whole], dim=-1)).float()
         code = codes.flatten(0, 1)
@@ -128,9 +127,9 @@ def fit_features(fit: FittedPrimitive, *, known: bool = True) -> np.ndarray:
     return features
 
 
-def change_units() -> np.ndarray:
-    """(CHANGE,) standard deviations, log scale and metres that one unit of a change is."""
-    return np.concatenate([np.full(MODES, 0.3), np.full(3, 0.02), np.full(3, PULL_M)])
+def change_units(primitive: GenericPrimitive) -> np.ndarray:
+    """(CHANGE,) standard deviations, log scale and metres that one unit of a change of a primitive's fit is."""
+    return np.concatenate([np.full(MODES, 0.3), np.full(3, 0.02), np.full(3, MISFIT_SHARE * patch_unit_m(primitive))])
 
 
 def mode_field(fit: FittedPrimitive, change: np.ndarray, *, known: bool = True) -> np.ndarray:
@@ -138,7 +137,7 @@ def mode_field(fit: FittedPrimitive, change: np.ndarray, *, known: bool = True) 
 
     The modes of a primitive that the network does not know stay as they are.
     """
-    change = change * change_units()
+    change = change * change_units(fit.primitive)
     field = fit.primitive.shape(fit.coefficients, fit.scale) * change[MODES : MODES + 3] + change[MODES + 3 :]
     if known:
         count = min(MODES, len(fit.coefficients))

@@ -20,7 +20,8 @@ from gfp_grasp.errors import InvalidOption
 from gfp_grasp.meshes import vertex_normals
 
 _MIN_NORMAL_COSINE = 0.5
-_NORMAL_LENGTH_M = 0.015
+# Opposite walls are kept apart: a difference of normals of one unit counts like this distance, in patch units.
+_NORMAL_LENGTH = 0.5
 
 
 @dataclass(frozen=True)
@@ -32,7 +33,7 @@ class SnakeConfig:
         elastic: Weight of the first-order internal energy.
         bending: Weight of the second-order internal energy.
         pull: Weight of the external energy.
-        reach_m: A vertex with no agreeing point within this is not pulled.
+        reach: A vertex with no agreeing point within this is not pulled; in units of `patch_unit_m`.
         tangential: Share of the pull that acts along the surface too.
         smooth: Points whose mean draws one vertex.
     """
@@ -41,15 +42,15 @@ class SnakeConfig:
     elastic: float = 0.3
     bending: float = 0.3
     pull: float = 1.0
-    reach_m: float = 0.015
+    reach: float = 0.5
     tangential: float = 0.0
     smooth: int = 4
 
     def __post_init__(self) -> None:
         if self.steps < 1 or self.smooth < 1:
             raise InvalidOption(f"steps is {self.steps}, smooth is {self.smooth}; both must be at least 1")
-        if min(self.elastic, self.bending, self.pull) < 0 or self.reach_m <= 0:
-            raise InvalidOption("elastic, bending and pull must not be negative; reach_m must be positive")
+        if min(self.elastic, self.bending, self.pull) < 0 or self.reach <= 0:
+            raise InvalidOption("elastic, bending and pull must not be negative; reach must be positive")
 
 
 def evolve(
@@ -58,6 +59,7 @@ def evolve(
     points: np.ndarray,
     normals: np.ndarray,
     *,
+    unit_m: float,
     config: SnakeConfig = SnakeConfig(),
 ) -> np.ndarray:
     """Draw a mesh onto points.
@@ -67,6 +69,7 @@ def evolve(
         faces: (f, 3).
         points: (n, 3) m, same frame.
         normals: (n, 3) unit, outward.
+        unit_m: The primitive's `patch_unit_m`.
         config: Energies.
 
     Returns:
@@ -76,17 +79,18 @@ def evolve(
         return vertices.copy()
     L = laplacian(faces, len(vertices))
     solve = factorized(sparse.csc_matrix(sparse.eye(len(vertices)) + config.elastic * L + config.bending * (L.T @ L)))
-    tree = KDTree(np.hstack([points, _NORMAL_LENGTH_M * normals]))
+    normal_length_m = _NORMAL_LENGTH * unit_m
+    tree = KDTree(np.hstack([points, normal_length_m * normals]))
     count = min(config.smooth, len(points))
     displacement = np.zeros_like(vertices)
     for _ in range(config.steps):
         moved = vertices + displacement
         facing = vertex_normals(moved, faces)
-        _, near = tree.query(np.hstack([moved, _NORMAL_LENGTH_M * facing]), k=count)
+        _, near = tree.query(np.hstack([moved, normal_length_m * facing]), k=count)
         near = np.reshape(near, (len(moved), count))
         agrees = np.einsum("vi,vki->vk", facing, normals[near]) > _MIN_NORMAL_COSINE
         gap = points[near] - moved[:, None]
-        agrees &= np.linalg.norm(gap, axis=2) < config.reach_m
+        agrees &= np.linalg.norm(gap, axis=2) < config.reach * unit_m
         weight = agrees / np.maximum(agrees.sum(axis=1, keepdims=True), 1)
         # Point to plane: the height of the vertex over the plane of each of its points.
         height = np.einsum("vki,vki,vk->v", gap, normals[near], weight)

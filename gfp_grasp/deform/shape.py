@@ -8,18 +8,19 @@ from typing import Literal, get_args
 import numpy as np
 from scipy.spatial import KDTree
 
+from gfp_grasp.deform.fold_free import damp_until_solid, diffuse
 from gfp_grasp.deform.gfs import SnakeConfig, evolve
-from gfp_grasp.deform.patches import UNIT_M, Patches, blend, make_patches
-from gfp_grasp.deform.settle import damp_until_solid, diffuse
+from gfp_grasp.deform.layout import patch_unit_m
+from gfp_grasp.deform.patches import Patches, blend, make_patches
 from gfp_grasp.deform.template import template_points
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.parallel import one_thread
 from gfp_grasp.transforms import apply_T, invert_T
 from gfp_grasp.types import Detection, FittedPrimitive
 
-# A patch's own offset is believed so far. On the validation split most are shorter, and by those that are longer, on
-# shapes unlike those learnt, more is lost than won.
-_FARTHEST_M = 0.002
+# The longest offset of a single point that is believed, in units of `patch_unit_m`: 2 mm on a cup. On the validation
+# split most offsets are shorter; longer ones, on shapes unlike those learnt, lose more than they win.
+_FARTHEST = 1 / 15
 
 Method = Literal["gfpnet", "gfpnet-paper", "gfpnet-oneshot", "gfs", "none"]
 METHODS: tuple[Method, ...] = get_args(Method)
@@ -84,7 +85,15 @@ def deform(fit: FittedPrimitive, detection: Detection, *, config: DeformConfig =
     sigma = unknown
     if config.method == "gfs":
         displacement = (
-            evolve(vertices, primitive.faces, template.points, template.normals, config=config.snake) - vertices
+            evolve(
+                vertices,
+                primitive.faces,
+                template.points,
+                template.normals,
+                unit_m=patch_unit_m(primitive),
+                config=config.snake,
+            )
+            - vertices
         )
     else:
         viewpoint = detection.cloud.viewpoint
@@ -118,8 +127,8 @@ def _per_point(patches: Patches, fit: FittedPrimitive) -> tuple[np.ndarray, np.n
         offsets, log_sigma, change = network(*(part[None] for part in patch_tensors(patches)), features)
     field = mode_field(fit, change[0].double().numpy(), known=known)
     offset = offsets[0].double().numpy()
-    length_m = UNIT_M * np.linalg.norm(offset, axis=2, keepdims=True)
-    offset = offset * np.minimum(1.0, _FARTHEST_M / np.maximum(length_m, 1e-12))
+    length = np.linalg.norm(offset, axis=2, keepdims=True)
+    offset = offset * np.minimum(1.0, _FARTHEST / np.maximum(length, 1e-12))
     return offset, log_sigma[0].double().numpy(), field
 
 
@@ -137,11 +146,19 @@ def _paper(patches: Patches, config: DeformConfig) -> np.ndarray:
 
 
 def patch_tensors(patches: Patches):
-    """Float32 tensors (source, source_normals, template, template_normals, carried, pull, place) of patches."""
+    """Float32 tensors (source, source_normals, template, template_normals, mirrored, residuals, pose_features)."""
     import torch
 
     p = patches
-    arrays = (p.source, p.source_normals, p.template, p.template_normals, p.carried, p.pull, p.place)
+    arrays = (
+        p.source,
+        p.source_normals,
+        p.template,
+        p.template_normals,
+        p.mirrored,
+        p.residuals,
+        p.pose_features,
+    )
     return tuple(torch.tensor(a, dtype=torch.float32) for a in arrays)
 
 
@@ -164,4 +181,4 @@ def _blend_sigma(patches: Patches, log_sigma: np.ndarray, num_vertices: int) -> 
     flat = patches.index.ravel()
     total = np.bincount(flat, patches.weights.ravel(), minlength=num_vertices)
     mean = np.bincount(flat, (patches.weights * log_sigma).ravel(), minlength=num_vertices)
-    return np.where(total > 1e-6, np.exp(mean / np.maximum(total, 1e-9)) * UNIT_M, np.nan)
+    return np.where(total > 1e-6, np.exp(mean / np.maximum(total, 1e-9)) * patches.unit_m, np.nan)

@@ -8,12 +8,14 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from gfp_grasp.clouds import estimate_normals, thin
+from gfp_grasp.deform.layout import patch_unit_m
 from gfp_grasp.meshes import vertex_normals
 from gfp_grasp.types import HANDLE, Detection, FittedPrimitive
 
-# A carried point speaks only where nothing was observed, and near the fit: elsewhere the symmetry is broken.
-_SILENT_M = 0.006
-_PLAUSIBLE_M = 0.012
+# A mirrored point speaks only where nothing was observed, and near the fit: elsewhere the symmetry is broken. Both in
+# units of `patch_unit_m`.
+_SILENT = 0.2
+_PLAUSIBLE = 0.4
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,12 +25,12 @@ class TemplatePoints:
     Attributes:
         points: (n, 3) m, in the primitive's frame (rigid, not scaled).
         normals: (n, 3) unit, outward.
-        carried: (n,) bool, brought to the hidden side by symmetry.
+        mirrored: (n,) bool, brought to the hidden side by symmetry.
     """
 
     points: np.ndarray
     normals: np.ndarray
-    carried: np.ndarray
+    mirrored: np.ndarray
 
 
 def template_points(
@@ -61,7 +63,7 @@ def template_points(
     return TemplatePoints(
         np.concatenate([i.points for i in images]),
         np.concatenate([i.normals for i in images]),
-        np.concatenate([i.carried for i in images]),
+        np.concatenate([i.mirrored for i in images]),
     )
 
 
@@ -73,11 +75,12 @@ def _mirrored(
     seen: KDTree,
     surface: KDTree,
 ) -> list[TemplatePoints]:
-    images, near_m = [], _PLAUSIBLE_M + _vertex_spacing(surface)
+    images, unit_m = [], patch_unit_m(fit.primitive)
+    near_m = _PLAUSIBLE * unit_m + _vertex_spacing(surface)
     for signs, takes_handle in _mirrors(fit):
         moved, turned = points * signs, normals * signs
         keep = np.ones(len(points), dtype=bool) if takes_handle else ~on_handle
-        keep &= seen.query(moved)[0] > _SILENT_M
+        keep &= seen.query(moved)[0] > _SILENT * unit_m
         distance, nearest = surface.query(moved)
         keep &= distance < near_m
         if not takes_handle:

@@ -16,16 +16,8 @@ from torch import Tensor, nn
 
 from gfp_grasp.assets import data_dir
 from gfp_grasp.datasets import layout_of
-from gfp_grasp.deform.gfpnet import (
-    MODES,
-    PRIMITIVES,
-    WEIGHTS,
-    Variant,
-    change_units,
-    fit_features,
-    make_network,
-)
-from gfp_grasp.deform.patches import UNIT_M, make_patches, patch_layout
+from gfp_grasp.deform import make_patches, patch_layout
+from gfp_grasp.deform.gfpnet import MODES, PRIMITIVES, WEIGHTS, Variant, change_units, fit_features, make_network
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.primitives import load_primitive
 from gfp_grasp.register import FitConfig
@@ -117,28 +109,30 @@ class Objects(NamedTuple):
         source_normals: (o, p, n, 3).
         template: (o, p, m, 3) T.
         template_normals: (o, p, m, 3).
-        carried: (o, p, m).
-        pull: (o, p, n, c).
-        place: (o, p, c).
+        mirrored: (o, p, m).
+        residuals: (o, p, n, c).
+        pose_features: (o, p, c).
         fit: (o, c) as of `fit_features`.
         offset: (o, p, n, 3) from S to its label.
         frames: (o, p, 3, 3) axes of the patches as columns.
         scale: (o, 3) of the fit.
         primitive: (o,) index into `_primitives()`.
+        unit_m: (o,) float32, the length that is 1 in the patches.
     """
 
     source: Tensor
     source_normals: Tensor
     template: Tensor
     template_normals: Tensor
-    carried: Tensor
-    pull: Tensor
-    place: Tensor
+    mirrored: Tensor
+    residuals: Tensor
+    pose_features: Tensor
     fit: Tensor
     offset: Tensor
     frames: Tensor
     scale: Tensor
     primitive: Tensor
+    unit_m: Tensor
 
 
 def augmented(stream: Callable[[torch.Generator], Iterator[Batch]]) -> Callable[[torch.Generator], Iterator[Batch]]:
@@ -157,14 +151,14 @@ def augmented(stream: Callable[[torch.Generator], Iterator[Batch]]) -> Callable[
             kept = torch.rand(o, 1, 1, generator=generator) * 0.9 + 0.1
             stand_in = (torch.rand(o, p, m, generator=generator) * kept * m).long()
             pick = torch.argsort(torch.rand(o, p, m, generator=generator), dim=2).gather(2, stand_in)[..., None]
-            noise = torch.randn(o, p, m, 3, generator=generator) * (_NOISE_M / UNIT_M)
+            noise = torch.randn(o, p, m, 3, generator=generator) * (_NOISE_M / objects.unit_m)[:, None, None, None]
             thinned = objects._replace(
                 source=objects.source[:, :, some],
                 source_normals=objects.source_normals[:, :, some],
                 template=(objects.template + noise).gather(2, pick.expand(-1, -1, -1, 3)),
                 template_normals=objects.template_normals.gather(2, pick.expand(-1, -1, -1, 3)),
-                carried=objects.carried.gather(2, pick[..., 0]),
-                pull=objects.pull[:, :, some],
+                mirrored=objects.mirrored.gather(2, pick[..., 0]),
+                residuals=objects.residuals[:, :, some],
                 offset=objects.offset[:, :, some],
             )
             yield (*thinned, some)
@@ -192,17 +186,20 @@ def _errors(network: nn.Module, objects: Objects, some: Tensor) -> tuple[Tensor,
 
 def _field(objects: Objects, change: Tensor, some: Tensor) -> Tensor:
     """What a change (o, c) of the fits does to points some (n,) of each patch: `mode_field` in patch frame and unit."""
-    index, modes = _primitives()
-    change = change * torch.from_numpy(change_units()).to(change)
+    index, modes, units = _primitives()
+    change = change * units[objects.primitive].to(change)
     # First the field of all vertices, then what each patch has of it.
     whole = torch.einsum("oc,ocvi->ovi", change[:, :MODES], modes[objects.primitive]) * objects.scale[:, None]
     at = index[objects.primitive][:, :, some]  # (o, p, n)
     o, p, n = at.shape
     field = whole.gather(1, at.reshape(o, -1, 1).expand(-1, -1, 3)).view(o, p, n, 3)
     frames = objects.frames.float()
-    vertices = torch.einsum("opij,opnj->opni", frames, objects.source.float()) + objects.place[:, :, None, :3].float()
-    field = field + UNIT_M * vertices * change[:, None, None, MODES : MODES + 3] + change[:, None, None, MODES + 3 :]
-    return torch.einsum("opij,opni->opnj", frames, field) / UNIT_M
+    vertices = (
+        torch.einsum("opij,opnj->opni", frames, objects.source.float()) + objects.pose_features[:, :, None, :3].float()
+    )
+    unit_m = objects.unit_m[:, None, None, None]
+    field = field + unit_m * vertices * change[:, None, None, MODES : MODES + 3] + change[:, None, None, MODES + 3 :]
+    return torch.einsum("opij,opni->opnj", frames, field) / unit_m
 
 
 def _surface_error(gap: Tensor, normals: Tensor) -> Tensor:
@@ -217,7 +214,7 @@ def paper_loss(network: nn.Module, batch: Batch) -> Tensor:
     Its eq. 3 as printed, the mean position of the neighbours, has no useful minimum; the Laplacian here is the
     distance of each point to the mean of its neighbours on S, less the label's own.
     """
-    source, template, target = batch
+    source, template, target, _ = batch
     moved = network(source, template).float()
     pairwise = torch.cdist(moved, target)
     chamfer = pairwise.amin(dim=2).mean() + pairwise.amin(dim=1).mean()
@@ -233,15 +230,17 @@ def _lap(points: Tensor, near: Tensor) -> Tensor:
 
 
 @lru_cache(maxsize=1)
-def _primitives() -> tuple[Tensor, Tensor]:
-    """Of every shipped primitive and then its twin: vertices of the patches (q, p, n), modes (q, k, v, 3) m."""
+def _primitives() -> tuple[Tensor, Tensor, Tensor]:
+    """Of every shipped primitive and then its twin: vertices of the patches (q, p, n), modes (q, k, v, 3) m, and what
+    one unit of a change of its fit is (q, c)."""
     shipped = [primitive for name in PRIMITIVES for primitive in _with_twin(name)]
     index = np.stack([patch_layout(primitive)[0] for primitive in shipped])
     most = max(len(primitive.vertices) for primitive in shipped)
     modes = np.zeros((len(shipped), MODES, most, 3), dtype=np.float32)
     for own, primitive in zip(modes, shipped, strict=True):
         own[: len(primitive.modes), : len(primitive.vertices)] = primitive.modes[:MODES]
-    return torch.from_numpy(index), torch.from_numpy(modes)
+    units = np.stack([change_units(primitive) for primitive in shipped])
+    return torch.from_numpy(index), torch.from_numpy(modes), torch.from_numpy(units)
 
 
 def _with_twin(name: str) -> tuple[GenericPrimitive, GenericPrimitive]:
@@ -261,7 +260,8 @@ def _objects(
         for label in labels:
             for column, part in zip(columns, _object(label), strict=True):
                 part = np.asarray(part)
-                column.append(part if part.dtype.kind == "i" else part.astype(np.float16))
+                half = part.dtype.kind != "i" and part.ndim > 0
+                column.append(part.astype(np.float16) if half else part)
     if not columns[0]:
         raise InvalidOption(f"no label could be made: {counts}; are there meshes of {', '.join(FAMILIES)}?")
     return Objects(*(torch.from_numpy(np.stack(column)) for column in columns)), counts
@@ -274,16 +274,16 @@ def _object(label: Label) -> tuple[object, ...]:
     coefficients = np.zeros(len(primitive.modes))
     coefficients[: len(label.coefficients)] = label.coefficients  # of a fit that had few modes
     fit = FittedPrimitive(primitive, np.eye(4), label.scale, coefficients, 0.0)
-    offset = np.einsum("bni,bij->bnj", (label.target - label.vertices)[p.index], p.frames) / UNIT_M
+    offset = np.einsum("bni,bij->bnj", (label.target - label.vertices)[p.index], p.frames) / p.unit_m
     number = 2 * PRIMITIVES.index(label.primitive) + int(label.twin)
     return (
-        p.source, p.source_normals, p.template, p.template_normals, p.carried, p.pull, p.place, fit_features(fit),
-        offset, p.frames, label.scale, number,
+        p.source, p.source_normals, p.template, p.template_normals, p.mirrored, p.residuals, p.pose_features,
+        fit_features(fit), offset, p.frames, label.scale, number, np.float32(p.unit_m),
     )  # fmt: skip
 
 
 def single_patches(split: str, num_views: int, limit: int | None, runs: Path, workers: int = 1) -> Batch:
-    """S, T and label (b, n, 3) of the patches of a split that see something, as the paper's networks learn from."""
+    """S, T, label (b, n, 3) and unit (b,) m of the patches of a split that see something, for the paper's networks."""
     objects, _ = _objects(
         partial(make_labels, split=split, num_views=num_views, limit=limit, runs=runs, workers=workers)
     )
@@ -291,28 +291,29 @@ def single_patches(split: str, num_views: int, limit: int | None, runs: Path, wo
 
 
 def _single(objects: Objects) -> Batch:
-    """S, T and label (b, ...) of the patches that see something."""
-    sees = objects.place[..., -1] > 0
-    return tuple(part[sees] for part in (objects.source, objects.template, objects.source + objects.offset))
+    """S, T, label (b, n, 3) and unit (b,) m of the patches that see something."""
+    sees = objects.pose_features[..., -1] > 0
+    unit_m = objects.unit_m[:, None].expand(sees.shape)
+    return tuple(p[sees] for p in (objects.source, objects.template, objects.source + objects.offset, unit_m))
 
 
 def _measure_paper(network: nn.Module, data: Batch) -> dict[str, float]:
     """Mean distance of the patches' points to the labels, mm, undeformed and as their nearest of the predicted set."""
     after = []
     with torch.inference_mode():
-        for source, template, target in zip(*(part.split(512) for part in data), strict=True):
+        for source, template, target, _ in zip(*(part.split(512) for part in data), strict=True):
             moved = network(source.float(), template.float())
             after.append(torch.cdist(moved, target.float()).amin(dim=1))
     return {
         "val_samples": len(data[0]),
-        "mean_error_before_mm": _mean_mm((data[2] - data[0]).float().norm(dim=-1)),
-        "mean_error_after_mm": _mean_mm(torch.cat(after)),
+        "mean_error_before_mm": _mean_mm((data[2] - data[0]).float().norm(dim=-1), data[3]),
+        "mean_error_after_mm": _mean_mm(torch.cat(after), data[3]),
     }
 
 
 def _measure(network: nn.Module, objects: Objects) -> dict[str, float]:
     """Mean distance of the points to their labels, mm, undeformed and deformed, of all and of what was not seen."""
-    hidden = objects.place[..., -1] == 0
+    hidden = objects.pose_features[..., -1] == 0
     before = _surface_error(objects.offset.float(), objects.source_normals.float())
     everything = torch.arange(objects.source.shape[2])
     after, within = [], []
@@ -322,22 +323,24 @@ def _measure(network: nn.Module, objects: Objects) -> dict[str, float]:
             error, log_sigma = _errors(network, part, everything)
             after.append(error)
             within.append(error < 2 * log_sigma.exp())
-    error = torch.cat(after)
+    error, unit_m = torch.cat(after), objects.unit_m
+    hidden_unit_m = unit_m[:, None].expand(hidden.shape)[hidden]
     metrics = {
         "val_samples": len(objects.source),
-        "mean_error_before_mm": _mean_mm(before),
-        "mean_error_after_mm": _mean_mm(error),
-        "hidden_error_before_mm": _mean_mm(before[hidden]),
-        "hidden_error_after_mm": _mean_mm(error[hidden]),
+        "mean_error_before_mm": _mean_mm(before, unit_m),
+        "mean_error_after_mm": _mean_mm(error, unit_m),
+        "hidden_error_before_mm": _mean_mm(before[hidden], hidden_unit_m),
+        "hidden_error_after_mm": _mean_mm(error[hidden], hidden_unit_m),
         "share_within_two_sigma": round(float(torch.cat(within).float().mean()), 3),
     }
     classes = objects.primitive // 2
     for number, name in enumerate(PRIMITIVES):
         mine = classes == number
-        metrics[f"{name}_error_before_mm"] = _mean_mm(before[mine])
-        metrics[f"{name}_error_after_mm"] = _mean_mm(error[mine])
+        metrics[f"{name}_error_before_mm"] = _mean_mm(before[mine], unit_m[mine])
+        metrics[f"{name}_error_after_mm"] = _mean_mm(error[mine], unit_m[mine])
     return metrics
 
 
-def _mean_mm(distance: Tensor) -> float:
-    return round(float(distance.mean()) * UNIT_M * 1000, 3)
+def _mean_mm(distance: Tensor, unit_m: Tensor) -> float:
+    """Mean of distances (b, ...) in units (b,) m."""
+    return round(float((distance.flatten(1).mean(dim=1) * unit_m).mean()) * 1000, 3)

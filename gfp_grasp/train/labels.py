@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial import KDTree
 
-from gfp_grasp.deform import SnakeConfig, TemplatePoints, evolve, template_points
+from gfp_grasp.deform import SnakeConfig, TemplatePoints, evolve, patch_unit_m, template_points
 from gfp_grasp.errors import FitDiverged, TooFewPoints
 from gfp_grasp.meshes import crossing_faces, sample_surface, vertex_normals
 from gfp_grasp.parallel import pmap
@@ -31,9 +31,9 @@ _MAX_RESIDUAL_M = 0.002
 _ALL = 1000
 _MODES = (_ALL, _ALL, 8, 3)  # that a label's fit may use, drawn by view
 _STAGES = (
-    SnakeConfig(steps=10, elastic=1.0, bending=4.0, reach_m=0.03, smooth=3),
-    SnakeConfig(steps=10, elastic=0.3, bending=1.0, reach_m=0.015, smooth=3),
-    SnakeConfig(steps=8, elastic=0.05, bending=0.1, reach_m=0.008, smooth=3),
+    SnakeConfig(steps=10, elastic=1.0, bending=4.0, reach=1.0, smooth=3),
+    SnakeConfig(steps=10, elastic=0.3, bending=1.0, reach=0.5, smooth=3),
+    SnakeConfig(steps=8, elastic=0.05, bending=0.1, reach=4 / 15, smooth=3),
 )
 
 
@@ -46,7 +46,7 @@ class Label:
         twin: Whether the primitive is the handle-less twin.
         vertices: (v, 3) m, the fit.
         target: (v, 3) m, where the vertices belong.
-        template: Observed and carried points.
+        template: Observed and mirrored points.
         viewpoint: (3,) m, where the camera stood.
         coefficients: (k,) of the fit's modes.
         scale: (3,) of the fit.
@@ -100,7 +100,9 @@ def label_fit(fit: FittedPrimitive, truth_points: np.ndarray, truth_normals: np.
     vertices = fit.primitive.shape(fit.coefficients, fit.scale)
     moved = vertices
     for stage in _STAGES:
-        moved = evolve(moved, fit.primitive.faces, truth_points, truth_normals, config=stage)
+        moved = evolve(
+            moved, fit.primitive.faces, truth_points, truth_normals, unit_m=patch_unit_m(fit.primitive), config=stage
+        )
     normals = vertex_normals(moved, fit.primitive.faces)
     distance, nearest = KDTree(truth_points).query(moved, k=8)
     agrees = np.einsum("vi,vki->vk", normals, truth_normals[nearest]) > 0.5
@@ -117,7 +119,7 @@ def _cached_label(view: View, *, folder: Path, fit: FitConfig) -> tuple[Label | 
         with np.load(path) as s:
             if str(s["verdict"]) != "kept":
                 return None, str(s["verdict"])
-            template = TemplatePoints(s["points"].astype(float), s["normals"].astype(float), s["carried"])
+            template = TemplatePoints(s["points"].astype(float), s["normals"].astype(float), s["mirrored"])
             vertices, target, *rest = (
                 s[name].astype(float) for name in ("vertices", "target", "viewpoint", "coefficients", "scale")
             )
@@ -137,7 +139,7 @@ def _cached_label(view: View, *, folder: Path, fit: FitConfig) -> tuple[Label | 
             target=label.target.astype(np.float32),
             points=label.template.points.astype(np.float32),
             normals=label.template.normals.astype(np.float32),
-            carried=label.template.carried,
+            mirrored=label.template.mirrored,
             viewpoint=label.viewpoint,
             coefficients=label.coefficients,
             scale=label.scale,
