@@ -1,5 +1,7 @@
 """CoACD may crash, hang or be interrupted: the caller sees a named error, and no process is left behind."""
 
+import importlib.util
+import io
 import multiprocessing
 import os
 import signal
@@ -13,9 +15,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from gfp_grasp.collision import DecomposeConfig, decompose
-from gfp_grasp.collision.guard import ChildLostError, close_workers, run_guarded
-from gfp_grasp.errors import DecompositionFailed, InvalidMesh
+from gfp_grasp.collision import DecomposeConfig, decompose, guard, pipe
+from gfp_grasp.collision.guard import ChildLostError, close_workers, idle_pids, run_guarded
+from gfp_grasp.errors import Cancelled, DecompositionFailed, InvalidMesh
 
 QUICK = DecomposeConfig(mcts_iterations=60, mcts_nodes=10, resolution=1000, cache=False)
 LINUX = pytest.mark.skipif(sys.platform != "linux", reason="looks for processes in /proc")
@@ -178,14 +180,103 @@ def test_when_all_is_lost_the_error_says_how_often_and_why(monkeypatch):
 def test_a_lack_of_memory_is_contained():
     sphere = trimesh.creation.icosphere(subdivisions=6, radius=0.1)
     sphere.vertices[:, 0] *= 1 + 3 * np.abs(sphere.vertices[:, 2])
-    with pytest.raises(ChildLostError):
-        run_guarded(
-            np.tile(np.array(sphere.vertices), (60, 1)),
-            np.concatenate([sphere.faces + i * len(sphere.vertices) for i in range(60)]),
-            QUICK.coacd_options(),
-            time_limit_s=60,
-            memory_limit_mb=512,
-        )
+    vertices = np.tile(np.array(sphere.vertices), (60, 1))
+    faces = np.concatenate([sphere.faces + i * len(sphere.vertices) for i in range(60)])
+    guarded(np.array(box().vertices), np.array(box().faces), memory_limit_mb=None)  # an idle child without a limit
+    started = time.monotonic()
+    with pytest.raises(ChildLostError, match=r"MemoryError|bad_alloc|SIGSEGV|SIGABRT|SIGKILL"):
+        run_guarded(vertices, faces, QUICK.coacd_options(), time_limit_s=120, memory_limit_mb=512)
+    assert time.monotonic() - started < 60
+
+
+@LINUX
+def test_each_child_has_the_engine_and_the_memory_that_its_job_asked_for():
+    close_workers()
+    solid = box_arrays()
+    guarded(*solid, memory_limit_mb=None)
+    (unlimited,) = idle_pids()
+    guarded(*solid, memory_limit_mb=2048)
+    (limited,) = idle_pids() - {unlimited}
+    assert address_space(unlimited) == "unlimited"
+    assert address_space(limited) == str(2048 * 2**20)
+    guarded(*solid, memory_limit_mb=2048)
+    guarded(*solid, memory_limit_mb=None)
+    assert idle_pids() == {unlimited, limited}
+
+
+@LINUX
+@pytest.mark.skipif(importlib.util.find_spec("vhacdx") is None, reason="needs the extra vhacd")
+def test_a_child_of_one_engine_is_no_other_engines():
+    close_workers()
+    solid = box_arrays()
+    guarded(*solid)
+    options = DecomposeConfig(engine="vhacd", vhacd_resolution=20_000).engine_options()
+    run_guarded(*solid, options, engine="vhacd", time_limit_s=60, memory_limit_mb=4096)
+    engines = {Path(f"/proc/{pid}/cmdline").read_text().split("\0")[4] for pid in idle_pids()}
+    assert engines == {"coacd", "vhacd"}
+
+
+@LINUX
+def test_at_most_two_children_wait_and_those_that_end_are_waited_for():
+    close_workers()
+    waiting = [guard._take("coacd", None) for _ in range(3)]
+    pids = [child.process.pid for child in waiting]
+    for child in waiting:
+        guard._give_back(child)
+    assert idle_pids() == set(pids[:2])
+    assert not Path(f"/proc/{pids[2]}").exists()
+    assert [os.getsid(pid) for pid in pids[:2]] == pids[:2]  # Ctrl-C in a terminal is not for them
+    close_workers()
+    assert not any(Path(f"/proc/{pid}").exists() for pid in pids)
+
+
+@LINUX
+def test_a_child_that_has_died_while_it_waited_is_replaced():
+    close_workers()
+    solid = box_arrays()
+    guarded(*solid)
+    (pid,) = idle_pids()
+    os.kill(pid, signal.SIGKILL)
+    assert wait_for(lambda: not idle_pids())
+    assert len(guarded(*solid)[0]) == 1
+    assert pid not in idle_pids()
+    assert idle_pids()
+
+
+def test_a_job_that_was_called_off_before_its_turn_takes_no_child(monkeypatch):
+    def refuse(*_):
+        raise AssertionError("a child was taken")
+
+    monkeypatch.setattr(guard, "_take", refuse)
+    cancel = threading.Event()
+    cancel.set()
+    with pytest.raises(Cancelled, match="before"):
+        run_guarded(*box_arrays(), {}, time_limit_s=1, memory_limit_mb=None, cancel=cancel)
+
+
+@LINUX
+def test_the_child_says_which_options_it_does_not_know_and_does_without_them():
+    hulls, said = run_guarded(
+        *box_arrays(), {**QUICK.coacd_options(), "of_tomorrow": 1}, time_limit_s=60, memory_limit_mb=4096
+    )
+    assert said == {"memory_limit": True, "unknown_options": ["of_tomorrow"]}
+    ((points, faces),) = hulls
+    np.testing.assert_allclose(np.ptp(points, axis=0), [0.1, 0.08, 0.06], atol=1e-6)
+    assert faces.shape[1] == 3
+
+
+@pytest.mark.parametrize("cut", [1, 7, 8, 20, -1])
+def test_a_message_comes_out_of_the_pipe_as_it_went_in_or_not_at_all(cut: int):
+    arrays = [np.arange(6.0).reshape(2, 3), np.array([[7, 8]], np.int32), np.zeros((0, 3))]
+    stream = io.BytesIO()
+    pipe.send(stream, {"a": [1, "b"]}, [arrays[0].T.copy().T, *arrays[1:]])
+    whole = stream.getvalue()
+    header, back = pipe.receive(io.BytesIO(whole + b"the next one"))
+    assert header == {"a": [1, "b"]}
+    for one, other in zip(arrays, back, strict=True):
+        np.testing.assert_array_equal(one, other, strict=True)
+    with pytest.raises(EOFError, match="bytes came"):
+        pipe.receive(io.BytesIO(whole[:cut]))
 
 
 @LINUX
@@ -266,9 +357,19 @@ def test_an_interrupted_or_killed_caller_takes_its_child_along(how):
     assert wait_for(lambda: not any(runs(pid) for pid in child))
 
 
-def guarded(vertices: np.ndarray, faces: np.ndarray):
+def guarded(vertices: np.ndarray, faces: np.ndarray, memory_limit_mb: int | None = 4096):
     options = {**QUICK.coacd_options(), "preprocess_mode": "off"}
-    return run_guarded(vertices, faces, options, time_limit_s=60, memory_limit_mb=4096)
+    return run_guarded(vertices, faces, options, time_limit_s=60, memory_limit_mb=memory_limit_mb)
+
+
+def box_arrays() -> tuple[np.ndarray, np.ndarray]:
+    return np.array(box().vertices), np.array(box().faces)
+
+
+def address_space(pid: int) -> str:
+    """What a process may take of address space, bytes."""
+    (line,) = [line for line in Path(f"/proc/{pid}/limits").read_text().splitlines() if "address space" in line]
+    return line.split()[3]
 
 
 def children(pid: int | str = "self") -> set[int]:

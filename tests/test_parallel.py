@@ -1,4 +1,4 @@
-"""Jobs over processes that die, over a cluster, and results that are on disk before the run is over."""
+"""Jobs over processes that die, and over a cluster."""
 
 import importlib.util
 import os
@@ -10,8 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from gfp_grasp.errors import CannotWrite, InvalidOption, WorkerLost
-from gfp_grasp.journal import Journal, write_whole
+from gfp_grasp.errors import InvalidOption, WorkerLost
 from gfp_grasp.parallel import ATTEMPTS, pmap
 
 HAS_RAY = importlib.util.find_spec("ray") is not None
@@ -121,53 +120,6 @@ def test_a_jobs_own_error_is_seen_as_it_was(workers):
 def test_a_negative_number_of_workers_is_refused():
     with pytest.raises(InvalidOption, match="workers is -1"):
         pmap(square, [1], workers=-1)
-
-
-def test_a_journal_goes_on_after_the_last_whole_line(tmp_path):
-    path = tmp_path / "run" / "a.part.jsonl"
-    first = Journal(path, {"seed": 1})
-    first.add({"n": 1})
-    first.add({"n": 2})
-    with path.open("ab") as file:
-        file.write(b'{"n": 3')  # stopped in the middle of a line
-    second = Journal(path, {"seed": 1})
-    assert second.records == [{"n": 1}, {"n": 2}]
-    second.add({"n": 4})
-    assert Journal(path, {"seed": 1}).records == [{"n": 1}, {"n": 2}, {"n": 4}]
-
-
-def test_a_journal_of_other_settings_is_left_alone(tmp_path):
-    path = tmp_path / "a.jsonl"
-    Journal(path, {"seed": 1}).add({"n": 1})
-    before = path.read_bytes()
-    with pytest.raises(InvalidOption, match="another run"):
-        Journal(path, {"seed": 2})
-    assert path.read_bytes() == before
-    path.write_bytes(b"\xff\xfe\n")
-    with pytest.raises(InvalidOption, match="holds no results"):
-        Journal(path, {"seed": 1})
-
-
-@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full, which is a disk without room")
-def test_a_full_disk_is_named_and_costs_nothing_that_was_written(tmp_path, monkeypatch):
-    path = tmp_path / "a.jsonl"
-    journal = Journal(path, {"seed": 1})
-    journal.add({"n": 1})
-    monkeypatch.setattr(journal, "path", Path("/dev/full"))
-    with pytest.raises(CannotWrite, match="No space left"):
-        journal.add({"n": 2})
-    assert Journal(path, {"seed": 1}).records == [{"n": 1}]
-
-
-def test_a_file_is_written_whole_or_not_at_all(tmp_path):
-    path = tmp_path / "new" / "a.json"
-    write_whole(path, "1")
-    write_whole(path, "2")
-    assert path.read_text() == "2"
-    assert [file.name for file in path.parent.iterdir()] == ["a.json"]
-    (tmp_path / "file").touch()
-    with pytest.raises(CannotWrite, match=r"b\.json cannot be written"):
-        write_whole(tmp_path / "file" / "b.json", "3")
 
 
 @pytest.mark.skipif(HAS_RAY, reason="Ray is installed")

@@ -1,0 +1,124 @@
+"""Convex parts of points: known volumes, planes and corners of bodies that are alike from no two sides."""
+
+import numpy as np
+import pytest
+import trimesh
+from bodies import AWAY, SLOPE, TURN, WEDGE, WEDGE_M3, box_part
+
+from gfp_grasp.collision.budget import fewer_corners
+from gfp_grasp.collision.convex import PartFaces, convex_part, convex_parts, needed_corners, volume_m3, within_parts
+from gfp_grasp.types import ConvexPart
+
+
+def wedge(T: np.ndarray | None = None) -> ConvexPart:
+    part = convex_part(WEDGE + AWAY if T is None else WEDGE @ T.T + AWAY)
+    assert part is not None
+    return part
+
+
+def test_a_wedge_of_many_points_is_its_six_corners_and_has_its_volume():
+    rng = np.random.default_rng(0)
+    within = rng.dirichlet(np.ones(6), 200) @ WEDGE
+    part = convex_part(np.concatenate([within, WEDGE]) + AWAY)
+    assert part is not None
+    np.testing.assert_allclose(
+        part.vertices[np.lexsort(part.vertices.T)], (WEDGE + AWAY)[np.lexsort(WEDGE.T)], atol=1e-12
+    )
+    assert volume_m3(part) == pytest.approx(WEDGE_M3)
+    assert part.to_trimesh().volume == pytest.approx(WEDGE_M3)
+    assert part.to_trimesh().is_convex
+
+
+def test_heights_over_a_slope_are_known_from_both_sides():
+    part = wedge(TURN)
+    middle = np.array([0.03, 0.02, 0.015])
+    steps = np.array([-0.002, 0.0, 0.001])
+    points = (middle + steps[:, None] * SLOPE) @ TURN.T + AWAY
+    np.testing.assert_allclose(PartFaces.of([part]).height(points, 0), steps, atol=1e-12)
+    other = box_part([1, 1, 1], [1.1, 1.1, 1.1])
+    for margin_m, inside in ((-0.0021, 0), (-0.0019, 1), (-1e-6, 1), (1e-6, 2), (9e-4, 2), (1.1e-3, 3)):
+        found = within_parts(points, [other, part], margin_m=margin_m)
+        np.testing.assert_array_equal(found, [[False, i < inside] for i in range(3)])
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+@pytest.mark.parametrize("side", [-1, 1])
+def test_a_margin_reaches_beyond_every_side_and_no_farther(axis: int, side: int):
+    part = box_part([0.1, 0.2, 0.3], [0.2, 0.4, 0.6])
+    point = np.array([[0.15, 0.3, 0.45]])
+    point[0, axis] += side * (0.5 * np.ptp(part.vertices[:, axis]) + 0.001)
+    assert within_parts(point, [part], margin_m=0.0011).all()
+    assert not within_parts(point, [part], margin_m=0.0009).any()
+    assert not within_parts(point, [part]).any()
+
+
+def test_no_parts_hold_nothing():
+    assert within_parts(np.zeros((3, 3)), []).shape == (3, 0)
+
+
+def test_a_needle_face_has_no_say_in_what_lies_within():
+    box = trimesh.creation.box((0.1, 0.1, 0.1))
+    a, b = (
+        np.argmin(np.abs(box.vertices - [-0.05, -0.05, -0.05]).sum(1)),
+        np.argmin(np.abs(box.vertices - [0.05, -0.05, -0.05]).sum(1)),
+    )
+    # Of no width to speak of, and across the box: its plane would cut the box in half.
+    needle = (box.vertices[a] + box.vertices[b]) / 2 + 1e-12 * np.array([0, 1, 1])
+    part = ConvexPart(np.vstack([box.vertices, needle]), np.vstack([box.faces, [a, b, 8], [b, a, 8]]))
+    inside = np.array([[0.0, 0.049, -0.02], [0.0, -0.02, 0.049], [0.05 - 1e-6, 0.0, 0.0]])
+    assert within_parts(inside, [part]).all()
+    assert not within_parts(np.add(inside, [0.1, 0, 0]), [part]).any()
+
+
+def test_crumbs_below_a_tenth_of_a_cubic_millimetre_are_dropped():
+    cube = np.asarray(trimesh.creation.box((1, 1, 1)).vertices)
+    assert convex_part(AWAY + 0.00045 * cube) is None
+    assert convex_part(AWAY + 0.00048 * cube) is not None
+
+
+@pytest.mark.parametrize(("thickness_m", "kept"), [(0.95e-4, False), (1.05e-4, True)])
+def test_a_tilted_plate_is_kept_from_a_tenth_of_a_millimetre_on(thickness_m: float, kept: bool):
+    plate = np.asarray(trimesh.creation.box((0.03, 0.02, thickness_m)).vertices)
+    parts, dropped = convex_parts([plate @ TURN.T + AWAY])
+    assert (len(parts), dropped) == ((1, 0) if kept else (0, 1))
+
+
+def test_a_bump_within_the_tolerance_needs_no_corner_and_one_beyond_it_does():
+    low, high = [0.025, 0, 0.00008 + 0.025], [0.025 + 0.00015, 0.001, 0]
+    corners = np.asarray(trimesh.creation.box((0.05, 0.05, 0.05)).vertices)
+    points = np.vstack([corners, low, high, [0.001, 0.002, 0.003]]) @ TURN.T + AWAY
+    assert needed_corners(points, 1e-4).tolist() == [*range(8), 9]
+    assert needed_corners(points, 1e-5).tolist() == [*range(10)]
+    assert needed_corners(points, 1e-3).tolist() == [*range(8)]
+
+
+@pytest.mark.parametrize("count", [4, 7, 12, 25, 60])
+def test_few_corners_of_a_long_hull_are_all_different_and_reach_to_its_ends(count: int):
+    ball = trimesh.creation.icosphere(subdivisions=3)
+    corners = np.asarray(ball.vertices) * [0.2, 0.02, 0.01] @ TURN.T + AWAY
+    kept = fewer_corners(corners, count)
+    assert len(np.unique(kept, axis=0)) == count
+    places = np.array([np.flatnonzero((corners == corner).all(axis=1))[0] for corner in kept])
+    assert (np.diff(places) > 0).all()
+    along = (kept - AWAY) @ TURN[:, 0]
+    assert np.ptp(along) > 0.9 * 0.4
+
+
+def test_of_a_bulging_box_the_corners_stay_when_few_may():
+    box = trimesh.creation.box((0.06, 0.04, 0.03))
+    faint = box.subdivide().subdivide()
+    bulge = 1 + 1e-4 * (1 - (np.asarray(faint.vertices) / [0.03, 0.02, 0.015]) ** 2).sum(axis=1, keepdims=True)
+    points = np.asarray(faint.vertices) * bulge
+    kept = fewer_corners(points, 20)
+    held = (np.linalg.norm(kept[None] - np.asarray(box.vertices)[:, None], axis=2) < 1e-9).any(axis=1)
+    assert held.all()
+
+
+def test_corners_that_all_lie_in_one_plane_give_way_to_the_one_farthest_from_it():
+    rng = np.random.default_rng(3)
+    ring = np.array([[np.cos(a), np.sin(a), 0] for a in np.linspace(0, 6.28, 40)]) * 0.05
+    points = np.vstack([ring, [0.001, 0, 0.0004], [0.0, 0, 0.0009]])[rng.permutation(42)] @ TURN.T + AWAY
+    kept = fewer_corners(points, 5)
+    height = (kept - AWAY) @ TURN[:, 2]
+    assert height.max() == pytest.approx(0.0009)
+    assert convex_part(kept) is not None

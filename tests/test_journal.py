@@ -1,0 +1,86 @@
+"""Results that are on disk before a run is over."""
+
+from pathlib import Path
+
+import pytest
+
+from gfp_grasp.errors import CannotWrite, InvalidOption
+from gfp_grasp.journal import Journal, write_whole
+
+
+def test_a_journal_goes_on_after_the_last_whole_line(tmp_path):
+    path = tmp_path / "run" / "a.part.jsonl"
+    first = Journal(path, {"seed": 1})
+    first.add({"n": 1})
+    first.add({"n": 2})
+    with path.open("ab") as file:
+        file.write(b'{"n": 3')  # stopped in the middle of a line
+    second = Journal(path, {"seed": 1})
+    assert second.records == [{"n": 1}, {"n": 2}]
+    second.add({"n": 4})
+    assert Journal(path, {"seed": 1}).records == [{"n": 1}, {"n": 2}, {"n": 4}]
+
+
+def test_a_journal_of_other_settings_is_left_alone(tmp_path):
+    path = tmp_path / "a.jsonl"
+    Journal(path, {"seed": 1}).add({"n": 1})
+    before = path.read_bytes()
+    with pytest.raises(InvalidOption, match="another run"):
+        Journal(path, {"seed": 2})
+    assert path.read_bytes() == before
+    path.write_bytes(b"\xff\xfe\n")
+    with pytest.raises(InvalidOption, match="holds no results"):
+        Journal(path, {"seed": 1})
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full, which is a disk without room")
+def test_a_full_disk_is_named_and_costs_nothing_that_was_written(tmp_path, monkeypatch):
+    path = tmp_path / "a.jsonl"
+    journal = Journal(path, {"seed": 1})
+    journal.add({"n": 1})
+    monkeypatch.setattr(journal, "path", Path("/dev/full"))
+    with pytest.raises(CannotWrite, match="No space left"):
+        journal.add({"n": 2})
+    assert Journal(path, {"seed": 1}).records == [{"n": 1}]
+
+
+def test_a_file_is_written_whole_or_not_at_all(tmp_path):
+    path = tmp_path / "new" / "a.json"
+    write_whole(path, "1")
+    write_whole(path, "2")
+    assert path.read_text() == "2"
+    assert [file.name for file in path.parent.iterdir()] == ["a.json"]
+    (tmp_path / "file").touch()
+    with pytest.raises(CannotWrite, match=r"b\.json cannot be written"):
+        write_whole(tmp_path / "file" / "b.json", "3")
+
+
+def test_the_order_of_settings_makes_no_other_run(tmp_path):
+    Journal(tmp_path / "a.jsonl", {"b": 1, "a": 2}).add({"n": 1})
+    assert Journal(tmp_path / "a.jsonl", {"a": 2, "b": 1}).records == [{"n": 1}]
+
+
+def test_a_number_that_is_none_is_not_written_down(tmp_path):
+    journal = Journal(tmp_path / "a.jsonl", {})
+    before = journal.path.read_bytes()
+    with pytest.raises(ValueError, match="JSON"):
+        journal.add({"n": float("nan")})
+    assert journal.path.read_bytes() == before
+
+
+def test_letters_of_every_alphabet_come_back(tmp_path):
+    Journal(tmp_path / "a.jsonl", {"class": "чашка"}).add({"name": "Tasse, Öl"})
+    assert Journal(tmp_path / "a.jsonl", {"class": "чашка"}).records == [{"name": "Tasse, Öl"}]
+
+
+def test_a_file_of_half_a_line_is_begun_anew(tmp_path):
+    (tmp_path / "a.jsonl").write_bytes(b'{"seed"')
+    assert Journal(tmp_path / "a.jsonl", {"seed": 1}).records == []
+    assert (tmp_path / "a.jsonl").read_bytes() == b'{"seed": 1}\n'
+
+
+def test_a_file_that_cannot_take_its_place_leaves_nothing_beside_it(tmp_path):
+    (tmp_path / "a.json" / "full").mkdir(parents=True)
+    with pytest.raises(CannotWrite, match=r"a\.json"):
+        write_whole(tmp_path / "a.json", "1")
+    assert [path.name for path in tmp_path.iterdir()] == ["a.json"]
