@@ -56,7 +56,7 @@ class CompleteConfig:
         deform: Deformation of the fit.
         rival_share: A class whose score is at least this share of the best class's is fitted too, and the better fit
             decides.
-        kinds: Of each such class its kinds are fitted as well, as cups with stems are.
+        subcategories: Fit the subcategories of each such class as well.
         handle_rule: "seen": a handle that no point supports is left out; "always": it is kept where the class has one.
         collision: Budget of the convex parts, which are made at first access.
     """
@@ -65,7 +65,7 @@ class CompleteConfig:
     fit: FitConfig = field(default_factory=FitConfig)
     deform: DeformConfig = field(default_factory=DeformConfig)
     rival_share: float = 0.05
-    kinds: bool = True
+    subcategories: bool = True
     handle_rule: str = "seen"
     collision: CollisionConfig = field(default_factory=CollisionConfig)
 
@@ -274,7 +274,7 @@ def _best_fit(detection: Detection, config: CompleteConfig) -> FittedPrimitive:
     candidates = []
     for name in _candidates(detection.scores, detection.category, config):
         odds = -np.log(max(detection.scores.get(name, 1.0), 1e-6))
-        primitives = library.members_of(name) if config.kinds else (library.primitive(name),)
+        primitives = library.members_of(name) if config.subcategories else (library.primitive(name),)
         candidates += [(primitive, odds + primitive.spec.cost) for primitive in primitives]
     fit = fit_best(evidence, candidates, config=config.fit)
     if fit.primitive.twin is not None and config.handle_rule == "seen" and not handle_is_seen(fit, evidence):

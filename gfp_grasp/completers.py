@@ -21,8 +21,8 @@ from gfp_grasp.types import CollisionMesh, CompletedShape, ConvexPart, Detection
 
 # Those of the package that register a primitive, by what they do with it.
 CONFIGS: Mapping[str, CompleteConfig] = {
-    "icp": CompleteConfig(fit=icp_config(), deform=DeformConfig(method="none"), kinds=False),
-    "pcrnet": CompleteConfig(fit=pcrnet_config(), deform=DeformConfig(method="none"), kinds=False),
+    "icp": CompleteConfig(fit=icp_config(), deform=DeformConfig(method="none"), subcategories=False),
+    "pcrnet": CompleteConfig(fit=pcrnet_config(), deform=DeformConfig(method="none"), subcategories=False),
     "registration": CompleteConfig(deform=DeformConfig(method="none")),
     "gfs": CompleteConfig(deform=DeformConfig(method="gfs")),
     "gfpnet-oneshot": CompleteConfig(deform=DeformConfig(method="gfpnet-oneshot")),

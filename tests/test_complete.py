@@ -75,9 +75,9 @@ def test_kinds_of_a_class_are_found_and_completed_as_what_they_are(kind):
 def test_without_kinds_a_class_is_what_it_is_fitted_by():
     seed = next(seed for seed in split_seeds("cup", "test") if make_shape("cup", seed).kind == "stemmed")
     cloud = _see("cup", seed)[-1]
-    done = complete_to_mesh(cloud.points, viewpoint=cloud.viewpoint, config=CompleteConfig(kinds=False))
+    done = complete_to_mesh(cloud.points, viewpoint=cloud.viewpoint, config=CompleteConfig(subcategories=False))
     assert done.fit is not None
-    assert done.fit.primitive.kind == ""
+    assert done.fit.primitive.subcategory == ""
 
 
 def test_completion_says_what_it_is(mug):

@@ -231,7 +231,7 @@ def test_families_and_folders_that_are_not_there_are_refused(tmp_path):
     with pytest.raises(InvalidOption, match="members"):
         build_from_shapes("cup", members=100000)
     with pytest.raises(InvalidOption, match="winged"):
-        build_from_shapes("cup", "winged")
+        build_from_shapes("cup.winged")
     with pytest.raises(InvalidOption, match="holds no mesh"):
         build_from_folder(tmp_path, "cup")
 
@@ -262,10 +262,10 @@ def test_broken_primitive_files_are_refused_by_name(thin_primitive, tmp_path):
         read_primitive(path)
 
 
-def test_a_kind_keeps_its_name_on_disk(thin_primitive, tmp_path):
-    path = save_primitive(replace(thin_primitive, kind="thin", spec=None), tmp_path)
+def test_a_subcategory_keeps_its_name_on_disk(thin_primitive, tmp_path):
+    path = save_primitive(replace(thin_primitive, subcategory="thin", spec=None), tmp_path)
     assert path.name == f"{thin_primitive.category}.thin.safetensors"
-    assert read_primitive(path).kind == "thin"
+    assert read_primitive(path).subcategory == "thin"
 
 
 @pytest.mark.slow

@@ -15,14 +15,14 @@ from gfp_grasp.primitives import PrimitiveLibrary, save_primitive
 from gfp_grasp.types import RESTS, CategorySpec, GenericPrimitive, OptionalPart
 
 
-def _bowl(category: str = "bowl", kind: str = "") -> GenericPrimitive:
-    return replace(toy_cup_primitive(), category=category, kind=kind, spec=None)
+def _bowl(category: str = "bowl", subcategory: str = "") -> GenericPrimitive:
+    return replace(toy_cup_primitive(), category=category, subcategory=subcategory, spec=None)
 
 
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     save_primitive(_bowl(), tmp_path)
-    save_primitive(_bowl(kind="deep"), tmp_path)
+    save_primitive(_bowl(subcategory="deep"), tmp_path)
     return tmp_path
 
 
@@ -160,7 +160,7 @@ def test_card_with_a_wrong_spec_is_refused_by_its_file_and_field(folder: Path, c
         library.spec("bowl")
     with pytest.raises(UnreadableFile, match=rf"bowl.*{message}"):
         library.primitive("bowl")
-    assert library.primitive("bowl.deep").kind == "deep"
+    assert library.primitive("bowl.deep").subcategory == "deep"
 
 
 def test_broken_cards_are_refused_by_name(folder: Path):

@@ -40,7 +40,7 @@ def test_shipped_primitive_is_clean(name):
     assert primitive.vertices[:, 2].min() == 0.0
     assert len(primitive.vertices) <= 1500
     assert primitive.explained.sum() > 0.95
-    assert len(primitive.coefficient_samples) >= (40 if primitive.kind else 80)
+    assert len(primitive.coefficient_samples) >= (40 if primitive.subcategory else 80)
     assert primitive.parts
     assert (primitive.twin is not None) == (name in ("mug", "bottle.jug"))
     if primitive.twin is not None and primitive.twin_map is not None:
@@ -54,7 +54,7 @@ def test_shipped_primitive_generalizes_as_its_card_says(name):
     primitive = load_primitive(name)
     assert float(str(primitive.card["generalization_mm"])) <= 1.5
     shapes = (make_shape(primitive.category, seed) for seed in split_seeds(primitive.category, "val"))
-    member = next(shape for shape in shapes if primitive.kind in ("", shape.kind)).mesh
+    member = next(shape for shape in shapes if primitive.subcategory in ("", shape.kind)).mesh
     assert fit_whole_surface(primitive, member)[1] < 0.0015
 
 

@@ -69,7 +69,7 @@ def config_of(name: str, sight: Sight | None = None, given: str = "") -> tuple[C
     if name.endswith("-sized"):
         assert sight is not None
         fit = rigid(size=_true_size(sight, given))
-    return CompleteConfig(fit=fit, deform=DeformConfig(method=method), rival_share=1.0, kinds=False), True
+    return CompleteConfig(fit=fit, deform=DeformConfig(method=method), rival_share=1.0, subcategories=False), True
 
 
 def _true_size(sight: Sight, category: str) -> tuple[float, float, float]:
@@ -105,7 +105,7 @@ _PAPER: Mapping[str, tuple[Callable[..., FitConfig], Method]] = {
 SWITCHES: Mapping[str, CompleteConfig] = {
     "gfpnet-no-scale": _without(estimate_scale=False),
     "gfpnet-no-modes": _without(estimate_modes=False),
-    "gfpnet-no-kinds": CompleteConfig(kinds=False),
+    "gfpnet-no-kinds": CompleteConfig(subcategories=False),
     "gfpnet-no-roundness": CompleteConfig(fit=FitConfig(roundness=False)),
     "gfpnet-no-free-space": _without(free_space=False),
     "gfpnet-no-support": _without(support=False),

@@ -6,18 +6,19 @@ from typing import Annotated
 
 import typer
 
-from gfp_grasp.cli.terminal import Seed, out, table, track
+from gfp_grasp.cli.terminal import Gps, Seed, out, table, track
+from gfp_grasp.errors import UnreadableFile
 
 gps = typer.Typer(name="gps", help="Generic primitives: list, show, build.", no_args_is_help=True)
 
 
 @gps.command("list")
-def list_all() -> None:
-    """The primitives that ship with the package."""
-    from gfp_grasp.primitives import list_primitives, load_kinds
+def list_all(folders: Gps = None) -> None:
+    """The primitives that ship with the package, and those of your own folders."""
+    from gfp_grasp.primitives import PrimitiveLibrary
 
-    rows = []
-    for primitive in (p for name in list_primitives() for p in load_kinds(name)):
+    library, rows = PrimitiveLibrary.with_shipped(*(folders or [])), []
+    for primitive in map(library.primitive, library.names):
         extents_mm = 1000 * (primitive.vertices.max(axis=0) - primitive.vertices.min(axis=0))
         size = " x ".join(f"{extent:.0f}" for extent in extents_mm)
         counts = (len(primitive.vertices), len(primitive.modes), len(primitive.parts))
@@ -26,21 +27,26 @@ def list_all() -> None:
 
 
 @gps.command()
-def show(category: Annotated[str, typer.Argument(help="Class, or class.kind.")]) -> None:
-    """The card of a primitive: how it was built, from what, and its figures."""
-    from gfp_grasp.primitives import load_primitive
+def show(category: Annotated[str, typer.Argument(help="Class, or class.subcategory.")], folders: Gps = None) -> None:
+    """The card of a primitive: what is known of its class, how it was built, from what, and its figures."""
+    from gfp_grasp.primitives import PrimitiveLibrary
 
-    out.print_json(json.dumps(dict(load_primitive(category).card), default=str))
+    out.print_json(
+        json.dumps(dict(PrimitiveLibrary.with_shipped(*(folders or [])).primitive(category).card), default=str)
+    )
 
 
 @gps.command()
 def build(
-    category: Annotated[str, typer.Argument(help="Name of the class.")],
+    category: Annotated[str, typer.Argument(help="Name of the class, or class.subcategory.")],
     meshes: Annotated[Path | None, typer.Option(help="Folder of its meshes; left out, its procedural shapes.")] = None,
     folder: Annotated[Path, typer.Option("--out", help="Folder of the .safetensors, .ply and .json.")] = Path("gps"),
     orientation: Annotated[str, typer.Option(help="What is known of a folder's meshes: placed, upright, any.")] = "any",
     licence: Annotated[str, typer.Option(help="Of a folder's meshes, for the card.")] = "",
-    kind: Annotated[str, typer.Option(help="Of its procedural shapes alone, e.g. stemmed of cup.")] = "",
+    spec: Annotated[
+        Path | None,
+        typer.Option(exists=True, dir_okay=False, help="JSON of what is known of the class, for its card."),
+    ] = None,
     limit: Annotated[int, typer.Option(min=1, help="So many procedural shapes.")] = 120,
     seed: Seed = 0,
 ) -> None:
@@ -48,28 +54,43 @@ def build(
     from gfp_grasp.primitives import BuildConfig, save_primitive
     from gfp_grasp.train import build_from_folder, build_from_shapes
 
-    progress = track(f"primitive of {category}")
+    progress, known = track(f"primitive of {category}"), _read_spec(spec)
     if meshes is None:
-        primitive = build_from_shapes(category, kind, members=limit, seed=seed, progress=progress)
+        primitive = build_from_shapes(category, members=limit, seed=seed, spec=known, progress=progress)
     else:
         config = BuildConfig(orientation=orientation, licence=licence)  # pyright: ignore[reportArgumentType]
-        primitive = build_from_folder(meshes, category, seed=seed, config=config, progress=progress)
+        primitive = build_from_folder(meshes, category, seed=seed, config=config, spec=known, progress=progress)
     path = save_primitive(primitive, folder)
     out.print(f"{path}: {len(primitive.vertices)} vertices, {len(primitive.modes)} modes", markup=False)
 
 
+def _read_spec(path: Path | None) -> dict:
+    """Fields of a CategorySpec from a JSON file; none without a file."""
+    if path is None:
+        return {}
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (json.JSONDecodeError, UnicodeDecodeError) as error:
+        raise UnreadableFile(f"{path} is not JSON: {error}") from error
+    if not isinstance(content, dict):
+        raise UnreadableFile(f"{path} holds a {type(content).__name__}; an object with fields of the spec is expected")
+    return content
+
+
 @gps.command()
 def parts(
-    names: Annotated[list[str] | None, typer.Argument(help="class or class.kind; left out, all that ship.")] = None,
+    names: Annotated[
+        list[str] | None, typer.Argument(help="class or class.subcategory; left out, all that ship.")
+    ] = None,
     folder: Annotated[Path, typer.Option("--out", help="Folder of the .safetensors, .ply and .json.")] = Path("gps"),
 ) -> None:
     """Decompose the mean of primitives again into convex parts, which takes minutes; their shape stays as it is."""
-    from gfp_grasp.primitives import list_primitives, load_kinds, load_primitive, save_primitive, with_parts
+    from gfp_grasp.primitives import PrimitiveLibrary, save_primitive, with_parts
 
-    names = names or [primitive.name for category in list_primitives() for primitive in load_kinds(category)]
-    rows = []
+    library, rows = PrimitiveLibrary.shipped(), []
+    names = names or list(library.names)
     for name in track("convex parts")(names, len(names)):
-        primitive = with_parts(load_primitive(name))
+        primitive = with_parts(library.primitive(name))
         save_primitive(primitive, folder)
         mean_m, high_m = primitive.part_errors_m[-1]
         rows.append((name, str(len(primitive.parts)), f"{1000 * mean_m:.2f}", f"{1000 * high_m:.2f}"))

@@ -38,6 +38,10 @@ Limit = Annotated[int | None, typer.Option(min=1, help="At most so many objects 
 Split = Annotated[str, typer.Option(help="Of the procedural families: train, val or test.")]
 Objects = Annotated[str, typer.Option(help="Family (cup, mug, bottle; several: cup,mug), mesh file or folder.")]
 Files = Annotated[bool, typer.Option("--files", help="Write the meshes of .xml to files beside it, not into itself.")]
+Gps = Annotated[
+    list[Path] | None,
+    typer.Option("--gps", help="Folder of primitives of your own (gps build --out); may be given several times."),
+]
 JsonFile = Annotated[Path | None, typer.Option("--json", dir_okay=False, help="Write all figures to this file.")]
 
 out = Console()

@@ -92,7 +92,7 @@ def build_primitive(
 
     Args:
         meshes: In metres, any orientation that the config admits.
-        category: Name of the class.
+        category: Name of the class, or "class.subcategory".
         config: How it is built.
         seed: Same seed, same primitive.
         progress: Wraps the stream of members, told how many there will be.
@@ -229,7 +229,8 @@ def _assemble(
     regions = label_regions(mesh)
     samples = np.hstack([model.coefficients, model.log_scale])
     shared = {
-        "category": category,
+        "category": category.partition(".")[0],
+        "subcategory": category.partition(".")[2],
         "explained": model.explained,
         "log_scale_cov": np.cov(model.log_scale[~model.odd].T),
         "coefficient_samples": samples,

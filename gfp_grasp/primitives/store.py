@@ -19,7 +19,7 @@ _ARRAYS = ("vertices", "faces", "modes", "explained", "log_scale_cov", "coeffici
 
 
 def save_primitive(primitive: GenericPrimitive, folder: str | Path) -> Path:
-    """Write <name>.safetensors, .ply and .json; the name is the class, or "class.kind".
+    """Write <name>.safetensors, .ply and .json; the name is the class, or "class.subcategory".
 
     Args:
         primitive: With its card: command, seed, data, figures.
@@ -37,13 +37,13 @@ def save_primitive(primitive: GenericPrimitive, folder: str | Path) -> Path:
     trimesh.Trimesh(primitive.vertices, primitive.faces, process=False).export(path.with_suffix(".ply"))
     card = {
         "category": primitive.category,
-        **({"kind": primitive.kind} if primitive.kind else {}),
+        **({"subcategory": primitive.subcategory} if primitive.subcategory else {}),
         "licence": primitive.licence,
         "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
         "shape_sha256": _shape_sha256(primitive),
         "spec": primitive.spec.as_dict(),
     }
-    card |= {key: value for key, value in primitive.card.items() if key not in (*card, "kind")}
+    card |= {key: value for key, value in primitive.card.items() if key not in (*card, "subcategory")}
     path.with_suffix(".json").write_text(json.dumps(card, indent=1) + "\n", encoding="utf-8")
     return path
 
@@ -104,7 +104,7 @@ def _read_card(path: Path) -> dict:
 
 
 def _name_in(card: dict) -> str:
-    return ".".join(str(card[key]) for key in ("category", "kind") if card.get(key))
+    return ".".join(str(card[key]) for key in ("category", "subcategory") if card.get(key))
 
 
 def _spec_of(card: dict, path: Path) -> CategorySpec:
@@ -153,7 +153,7 @@ def _from_arrays(arrays: dict[str, np.ndarray], prefix: str, card: dict) -> Gene
     has_twin = prefix + "twin_map" in arrays
     return GenericPrimitive(
         category=card["category"],
-        kind=card.get("kind", ""),
+        subcategory=card.get("subcategory", ""),
         **{name: arrays[prefix + name] for name in _ARRAYS},
         symmetry=symmetry,
         parts=tuple(ConvexPart(v, f) for v, f in zip(vertices, faces, strict=True)),

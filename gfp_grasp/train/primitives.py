@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 
@@ -12,75 +13,94 @@ from gfp_grasp.errors import GfpGraspError, InvalidOption, UnknownCategory
 from gfp_grasp.meshes import load_mesh, make_solid
 from gfp_grasp.primitives import BuildConfig, Progress, bring_into_one_pose, build_primitive, measure_primitive
 from gfp_grasp.shapes import FAMILIES, make_shape, split_seeds
-from gfp_grasp.types import GenericPrimitive
+from gfp_grasp.types import CategorySpec, GenericPrimitive
 
 _SUFFIXES = (".obj", ".stl", ".ply", ".glb", ".off")
 # A folder with fewer meshes than this is used up by the build; from this on every fifth mesh is held out.
 _ENOUGH_TO_HOLD_OUT = 15
 _LICENCE_OF_SHAPES = "Apache-2.0"
-_OF_ALL_KINDS = 1000  # seeds of the train split that members of one kind are looked for among
+_OF_ALL_VARIANTS = 1000  # seeds of the train split among which members of one variant are looked for
 
 
 def build_from_shapes(
-    family: str,
-    kind: str = "",
+    name: str,
     *,
     members: int = 120,
     held_out: int = 40,
     seed: int = 0,
     config: BuildConfig | None = None,
+    spec: Mapping[str, object] | None = None,
     progress: Progress | None = None,
 ) -> GenericPrimitive:
     """Build the primitive of a procedural family from its train split, and measure it on its validation split.
 
     Args:
-        family: One of shapes.FAMILIES.
-        kind: Of its shapes; "" takes them all.
-        members: So many seeds of the train split, the first ones; of a kind, as many as the first thousand hold.
-        held_out: So many of the validation split.
-        seed: Of the build.
+        name: One of shapes.FAMILIES, or "family.variant" for those of its shapes that are of one variant.
+        members: Number of shapes, the first seeds of the train split; of a variant, as many as the first thousand hold.
+        held_out: Number of shapes of the validation split.
+        seed: Seed of the build.
         config: How it is built; None for the default.
+        spec: Fields of the class's CategorySpec that differ from what the members tell.
         progress: Wraps the streams of members.
 
     Raises:
         UnknownCategory: No such family.
-        InvalidOption: More members than the split has, or none; no shape is of that kind.
+        InvalidOption: More shapes than the splits have, or none of that variant.
         BuildFailed: See build_primitive.
     """
+    _check(name, spec)
+    family, _, variant = name.partition(".")
     if family not in FAMILIES:
         raise UnknownCategory(
             f"no shape family {family!r}: choose one of {', '.join(FAMILIES)}, or give a folder of meshes"
         )
     train, val = split_seeds(family, "train"), split_seeds(family, "val")
-    if kind:
-        train = _of_kind(family, kind, split_seeds(family, "train", _OF_ALL_KINDS))[:members]
-        val = _of_kind(family, kind, val)[:held_out]
+    if variant:
+        train = _of_variant(family, variant, split_seeds(family, "train", _OF_ALL_VARIANTS))[:members]
+        val = _of_variant(family, variant, val)[:held_out]
         members, held_out = len(train), len(val)
     if not 1 <= members <= len(train) or not 1 <= held_out <= len(val):
         raise InvalidOption(f"members={members}, held_out={held_out}: 1 to {len(train)} and 1 to {len(val)} are there")
     config = config or BuildConfig(licence=_LICENCE_OF_SHAPES)
     meshes = [make_shape(family, number).mesh for number in train[:members]]
-    primitive = build_primitive(meshes, family, config=config, seed=seed, progress=progress)
-    primitive = replace(
-        primitive, kind=kind, spec=None, twin=primitive.twin and replace(primitive.twin, kind=kind, spec=None)
-    )
+    primitive = build_primitive(meshes, name, config=config, seed=seed, progress=progress)
     figures = measure_primitive(
         primitive, [make_shape(family, number).mesh for number in val[:held_out]], progress=progress
     )
+    shapes = f"procedural {variant} {family}s".replace("  ", " ")
     card = {
-        "command": f"gfp-grasp gps build {family} {f'--kind {kind} ' if kind else ''}--limit {members} --seed {seed}",
+        "command": f"gfp-grasp gps build {name} --limit {members} --seed {seed}",
         "seed": seed,
-        "data": f"procedural {kind} {family}s, the first {members} seeds of the train split".replace("  ", " "),
-        "held_out_data": f"procedural {kind} {family}s, the first {held_out} seeds of the val split".replace("  ", " "),
+        "data": f"{shapes}, the first {members} seeds of the train split",
+        "held_out_data": f"{shapes}, the first {held_out} seeds of the val split",
     }
-    return replace(primitive, card={**card, **primitive.card, **figures.figures()})
+    return with_spec(replace(primitive, card={**card, **primitive.card, **figures.figures()}), spec)
 
 
-def _of_kind(family: str, kind: str, seeds: tuple[int, ...]) -> tuple[int, ...]:
-    """Those of the seeds whose shapes are of a kind."""
-    found = tuple(seed for seed in seeds if make_shape(family, seed).kind == kind)
+def with_spec(primitive: GenericPrimitive, changes: Mapping[str, object] | None) -> GenericPrimitive:
+    """The primitive with some fields of its spec changed.
+
+    Raises:
+        InvalidOption: An unknown field, or a value that is not legal; the message names it.
+    """
+    return replace(primitive, spec=_changed(primitive.spec, changes)) if changes else primitive
+
+
+def _changed(spec: CategorySpec, changes: Mapping[str, object] | None) -> CategorySpec:
+    return CategorySpec.from_dict({**spec.as_dict(), **(changes or {})})
+
+
+def _check(name: str, changes: Mapping[str, object] | None) -> None:
+    """Refuse a name or changes of its spec that are not legal, before the work is done."""
+    parent, _, subcategory = name.partition(".")
+    _changed(CategorySpec(name, parent=parent if subcategory else None), changes)
+
+
+def _of_variant(family: str, variant: str, seeds: tuple[int, ...]) -> tuple[int, ...]:
+    """Those of the seeds whose shapes are of a variant."""
+    found = tuple(seed for seed in seeds if make_shape(family, seed).kind == variant)
     if not found:
-        raise InvalidOption(f"no {family} is of the kind {kind!r}: see gfp_grasp/shapes for those that are made")
+        raise InvalidOption(f"no {family} is of the variant {variant!r}: see gfp_grasp/shapes for those that are made")
     return found
 
 
@@ -90,21 +110,24 @@ def build_from_folder(
     *,
     seed: int = 0,
     config: BuildConfig | None = None,
+    spec: Mapping[str, object] | None = None,
     progress: Progress | None = None,
 ) -> GenericPrimitive:
     """Build the primitive of any class from a folder of its meshes, in any pose, broken ones among them.
 
     Args:
         folder: With OBJ, STL, PLY, GLB or OFF files in metres; every one of them is taken for a member.
-        category: Name of the class.
-        seed: Of the build, and of which meshes are held out.
+        category: Name of the class, or "class.subcategory".
+        seed: Seed of the build and of the choice of meshes that are held out.
         config: How it is built; None for meshes in any orientation.
+        spec: Fields of the class's CategorySpec that differ from what the members tell.
         progress: Wraps the streams of members.
 
     Raises:
         InvalidOption: The folder holds no mesh file.
         BuildFailed: See build_primitive.
     """
+    _check(category, spec)
     paths = sorted(path for path in Path(folder).glob("*") if path.suffix.lower() in _SUFFIXES)
     if not paths:
         raise InvalidOption(f"{folder} holds no mesh file: {', '.join(_SUFFIXES)} are read")
@@ -126,7 +149,7 @@ def build_from_folder(
     if held_out:
         posed = _posed(held_out, primitive, config, seed)
         figures = measure_primitive(primitive, posed, progress=progress).figures() if posed else {}
-    return replace(primitive, card={**card, **primitive.card, **figures})
+    return with_spec(replace(primitive, card={**card, **primitive.card, **figures}), spec)
 
 
 def _hold_out(meshes: list[trimesh.Trimesh], rng: np.random.Generator) -> tuple[list, list]:

@@ -62,7 +62,7 @@ class GenericPrimitive:
 
     Attributes:
         category: Class name.
-        kind: Name of a part of the class that is unlike the rest of it, as cups with stems are; "" is the class itself.
+        subcategory: Name of those members that are unlike the rest of the class, as "stemmed"; "" is the class itself.
         vertices: (v, 3) float64 m, mean mesh in the primitive's frame: z up, axis through x = y = 0, base at z = 0,
             a handle towards +x.
         faces: (f, 3) int, watertight, outward.
@@ -100,7 +100,7 @@ class GenericPrimitive:
     twin_map: np.ndarray | None = None
     licence: str = ""
     card: Mapping[str, object] = field(default_factory=dict)
-    kind: str = ""
+    subcategory: str = ""
     part_merges: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
     part_errors_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
     spec: CategorySpec = None  # pyright: ignore[reportAssignmentType]
@@ -136,8 +136,8 @@ class GenericPrimitive:
 
     @property
     def name(self) -> str:
-        """Class and kind, as "cup.stemmed"; of the class itself, the class."""
-        return f"{self.category}.{self.kind}" if self.kind else self.category
+        """Class and subcategory, as "class.subcategory"; the class alone where it is the class itself."""
+        return f"{self.category}.{self.subcategory}" if self.subcategory else self.category
 
     def shape(self, coefficients: np.ndarray, scale: np.ndarray) -> np.ndarray:
         """Vertices (v, 3) m in the primitive's frame for (k,) coefficients and (3,) scale."""
@@ -158,7 +158,7 @@ def default_spec(primitive: GenericPrimitive) -> CategorySpec:
     hollow = bool((primitive.regions == INSIDE).mean() >= _HOLLOW_SHARE) if len(primitive.regions) else False
     return CategorySpec(
         category=primitive.name,
-        parent=primitive.category if primitive.kind else None,
+        parent=primitive.category if primitive.subcategory else None,
         size_range_m=(tuple(extents.min(axis=0)), tuple(extents.max(axis=0))),
         hollow=hollow,
         density_kg_m3=default_density(hollow=hollow),
