@@ -3,6 +3,9 @@ VENV ?= .venv
 PYTHON ?= $(shell command -v python3.11 || command -v python3.12 || command -v python3.13 || command -v python3)
 OUT ?= out
 WORKERS ?= 2
+ROOMS ?=
+COUNT ?= 200
+SEED ?= 0
 
 PY := $(VENV)/bin/python
 INSTALLED := $(VENV)/.installed
@@ -10,7 +13,7 @@ INSTALLED_DEV := $(VENV)/.installed-dev
 # One thread of linear algebra in each test process: more of them fight over the cores.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 
-.PHONY: help demo test test-fast lint types wheel-check quickstart clean
+.PHONY: help demo test test-fast lint types wheel-check mutants quickstart clean
 
 help:
 	@echo "make demo         run the demonstration into $(OUT)/ (open $(OUT)/index.html)"
@@ -19,6 +22,7 @@ help:
 	@echo "make lint         ruff: rules and formatting"
 	@echo "make types        pyright"
 	@echo "make wheel-check  build wheel and sdist, compare with git, run the demo from the wheel in an empty folder"
+	@echo "make mutants      try COUNT small changes of the code and count what the tests notice (ROOMS=\"camera detect\" SEED=1)"
 	@echo "make quickstart   render again the capture that ships for the quick start"
 
 demo: $(INSTALLED)
@@ -39,6 +43,10 @@ types: $(INSTALLED_DEV)
 
 wheel-check: $(INSTALLED_DEV)
 	$(PY) tests/wheel_check.py
+
+mutants: $(INSTALLED_DEV)
+	$(ONE_THREAD) $(PY) tests/mutants.py --count $(COUNT) --seed $(SEED) --jobs $(WORKERS) \
+		$(if $(ROOMS),--rooms $(ROOMS),--json results/mutants.json)
 
 quickstart: $(INSTALLED)
 	$(PY) -m gfp_grasp.demo.quickstart
