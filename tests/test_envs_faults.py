@@ -7,7 +7,6 @@ import pytest
 import trimesh
 
 from gfp_grasp.envs import GfpGraspEnv
-from gfp_grasp.envs.world import World
 from gfp_grasp.errors import (
     DecompositionFailed,
     GfpGraspError,
@@ -123,7 +122,7 @@ def test_a_mesh_that_mujoco_itself_refuses_is_named_and_the_same_env_takes_it_on
 
     env = GfpGraspEnv(objects=folder, **SMALL)
     with monkeypatch.context() as patch:
-        patch.setattr(World, "of_truth", refuse)
+        patch.setattr("gfp_grasp.envs.task.World", refuse)
         with pytest.raises(InvalidScene, match=f"object 'good' cannot be simulated.*{said}"):
             env.reset(seed=0)
     assert same(env.reset(seed=0), GfpGraspEnv(objects=folder, **SMALL).reset(seed=0))

@@ -17,9 +17,8 @@ from trimesh.exchange.ply import export_ply
 from gfp_grasp.detect import DetectConfig, detect_objects
 from gfp_grasp.envs import GfpGraspEnv
 from gfp_grasp.envs.action import ActionCode
-from gfp_grasp.envs.world import World
 from gfp_grasp.errors import InvalidAction, InvalidMesh, InvalidOption, InvalidScene, UnreadableFile
-from gfp_grasp.scenes import load_objects
+from gfp_grasp.scenes import SceneObject, load_objects
 from gfp_grasp.score import ScoreConfig, score
 from gfp_grasp.transforms import make_T
 from gfp_grasp.types import Grasp
@@ -182,7 +181,7 @@ def test_a_completion_that_cannot_be_simulated_fails_its_attempts_not_the_env(fo
         raise InvalidScene("part 0 is a sliver")
 
     env = GfpGraspEnv(objects=folder, completer="observed", world="completed", **SMALL)
-    monkeypatch.setattr(World, "of_parts", refuse)
+    monkeypatch.setattr(SceneObject, "of_parts", refuse)
     _, info = env.reset(seed=0)
     assert info["completion_error"] == "InvalidScene: part 0 is a sliver"
     assert not info["completion_failed"]
@@ -246,7 +245,7 @@ def test_nothing_of_an_episode_outlives_it(folder):
     for seed in range(4):
         env.reset(seed=seed)
         env.step(np.zeros(10))
-        traces.append([weakref.ref(thing) for thing in (env.episode, env.completion, env._world)])
+        traces.append([weakref.ref(thing) for thing in (env.episode, env.completion, env.world)])
     gc.collect()
     assert [[trace() is not None for trace in row] for row in traces] == [[False] * 3] * 3 + [[True] * 3]
 
@@ -257,4 +256,4 @@ def test_few_compiled_scenes_are_kept(tmp_path):
     env = GfpGraspEnv(objects=tmp_path, completer="observed", **SMALL)
     for number in range(20):
         env.reset(seed=0, options={"object": number})
-    assert len(env._truths) <= 16
+    assert len(env.task._true_worlds) <= 16

@@ -4,13 +4,11 @@ import numpy as np
 import pytest
 import trimesh
 
+from gfp_grasp.envs import TrialSettings, run_trial
 from gfp_grasp.envs.creep import creep_mps
-from gfp_grasp.envs.settings import TrialSettings
-from gfp_grasp.envs.trial import run_trial
-from gfp_grasp.envs.world import TARGET, World
 from gfp_grasp.errors import InvalidOption, InvalidScene
 from gfp_grasp.grasps.gripper import Gripper
-from gfp_grasp.scenes.build import build_scene, compile_scene
+from gfp_grasp.scenes import SceneObject, World, build_scene, compile_scene
 from gfp_grasp.transforms import make_T
 from gfp_grasp.types import REASONS, ConvexPart, Grasp
 
@@ -21,8 +19,7 @@ RADIUS_M, HEIGHT_M = 0.03, 0.12
 def world_of(mass_kg=0.2, friction=0.7):
     mesh = trimesh.creation.cylinder(RADIUS_M, HEIGHT_M, sections=48)
     mesh.apply_translation((0, 0, HEIGHT_M / 2))
-    world = World.of_parts((ConvexPart(mesh.vertices, mesh.faces),), mass_kg, friction)
-    return world
+    return World([SceneObject.of_parts((ConvexPart(mesh.vertices, mesh.faces),), mass_kg, friction)])
 
 
 def from_above(height_m=0.09, x=0.0, width_m=0.075):
@@ -30,8 +27,7 @@ def from_above(height_m=0.09, x=0.0, width_m=0.075):
 
 
 def outcome_of(world, grasp, settings=None, **knobs):
-    world.restore()
-    return run_trial(world.model, world.data, grasp, settings, target=TARGET, **knobs)
+    return run_trial(world, grasp, settings, **knobs)
 
 
 @pytest.fixture(scope="module")
@@ -114,7 +110,7 @@ def test_an_object_that_cannot_stand_floats_until_it_is_gripped():
     mesh = trimesh.creation.cylinder(RADIUS_M, HEIGHT_M, sections=48)
     mesh.apply_transform(trimesh.transformations.rotation_matrix(0.3, (0, 1, 0)))
     mesh.apply_translation((0, 0, 0.08))
-    leaning = World.of_parts((ConvexPart(mesh.vertices, mesh.faces),), 0.2, 0.7)
+    leaning = World([SceneObject.of_parts((ConvexPart(mesh.vertices, mesh.faces),), 0.2, 0.7)])
     grasp = from_above(height_m=0.11)
     assert not outcome_of(leaning, grasp).success
     assert outcome_of(leaning, grasp, floats=True).success
@@ -130,7 +126,7 @@ def test_an_outcome_carries_its_settings(world):
 
 def test_a_scene_without_the_object_is_refused(world):
     with pytest.raises(InvalidScene, match="no body teapot"):
-        run_trial(world.model, world.data, from_above(), target="teapot")
+        run_trial(world, from_above(), target="teapot")
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import real_data
 import trimesh
 
 from gfp_grasp.errors import InvalidOption
-from gfp_grasp.grasps import GraspConfig, Gripper, plan_grasps, plan_top_down, planner
+from gfp_grasp.grasps import GraspConfig, Gripper, get_planner, plan_grasps, plan_top_down
 from gfp_grasp.grasps.clearance import height_above, room_around
 from gfp_grasp.grasps.contact import find_contacts
 from gfp_grasp.grasps.gripper import Box
@@ -128,9 +128,9 @@ def test_from_above_nothing_is_taken_that_is_wider_than_the_jaws_and_no_pad_meet
 
 
 def test_planners_go_by_name():
-    assert planner("antipodal") is plan_grasps
-    assert planner("top-down") is plan_top_down
-    assert planner("gfp_grasp.grasps.top_down:plan_top_down") is plan_top_down
+    assert get_planner("antipodal") is plan_grasps
+    assert get_planner("top-down") is plan_top_down
+    assert get_planner("gfp_grasp.grasps.top_down:plan_top_down") is plan_top_down
 
 
 @pytest.mark.parametrize("plan", [plan_grasps, plan_top_down])

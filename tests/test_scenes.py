@@ -159,7 +159,7 @@ def test_the_gripper_closes_opens_and_follows():
 def test_pads_meet_where_a_grasp_says_they_do():
     model, data = started(scenes.build_scene([], gripper=True))
     scenes.place_gripper(model, data, make_T(None, [0, 0, 1.0]), 0.05)
-    left, right = (data.geom(name) for name in scenes.PADS)
+    left, right = (data.geom(name) for name in gripper.PADS)
     assert (left.xpos + right.xpos) / 2 == pytest.approx([0, 0, 1.0], abs=1e-9)
     inner = left.xpos[1] - model.geom("pad_left").size[1]
     assert 2 * inner == pytest.approx(0.05, abs=1e-9)

@@ -160,14 +160,14 @@ def test_panel_tells_class_size_residual_and_error_of_the_parts(shown: ShownScen
 def test_recorded_attempt_is_the_environment_s_own(env: GfpGraspEnv) -> None:
     shown = scene_of_episode(env.episode, title="")
     assert env.world is not None
-    before = env.world.T_world_object
+    before = env.world.pose("object")
     motion = record_trial(env, shown.items[0].grasps[0])
-    np.testing.assert_array_equal(env.world.T_world_object, before)
+    np.testing.assert_array_equal(env.world.pose("object"), before)
     np.testing.assert_allclose(motion.moved(0), np.eye(4), atol=1e-3)
     _, reward, _, _, info = env.step(env.action_code.encode(shown.items[0].grasps[0]))
     assert (float(motion.outcome.success), motion.outcome.reason) == (reward, info["reason"])
     assert motion.outcome.reason == "held"
-    s = env.settings
+    s = env.trial_settings
     swings = 2 * (s.shake_cycles / s.shake_hz + 1 / s.turn_hz)
     seconds = s.approach_s + s.close_s + s.lift_s + s.hold_s + swings + s.release_s
     assert len(motion) == pytest.approx(seconds * FRAMES_PER_S, abs=2)

@@ -9,7 +9,7 @@ import time
 from typing import Any
 
 from gfp_grasp.bench.speed import resident_mb
-from gfp_grasp.envs.grasp_env import GfpGraspEnv
+from gfp_grasp.envs import GfpGraspEnv
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.scenes import label_of
 

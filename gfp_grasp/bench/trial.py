@@ -13,16 +13,13 @@ from typing import Any
 
 import numpy as np
 
+from gfp_grasp.envs import GfpGraspEnv, TrialSettings, run_trial
 from gfp_grasp.envs.creep import creep_mps
-from gfp_grasp.envs.grasp_env import GfpGraspEnv
 from gfp_grasp.envs.pace import TimedStep, fetch_steps_per_s
-from gfp_grasp.envs.settings import TrialSettings
-from gfp_grasp.envs.trial import run_trial
-from gfp_grasp.envs.world import TARGET, World
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.grasps import plan_grasps
 from gfp_grasp.parallel import pmap
-from gfp_grasp.scenes import label_of
+from gfp_grasp.scenes import World, label_of
 from gfp_grasp.types import Grasp
 
 _STEPS = (1, 2, 4)  # parts of the simulator's time step
@@ -123,10 +120,9 @@ def _at_all_steps(world: World, grasp: Grasp, settings: TrialSettings) -> dict[s
     held, reasons, seconds, share, steps = [], [], 0.0, 0.0, 0
     for part in _STEPS:
         world.model.opt.timestep = whole / part
-        world.restore()
         timer = TimedStep()
         start = time.perf_counter()
-        outcome = run_trial(world.model, world.data, grasp, settings, target=TARGET, stepper=timer)
+        outcome = run_trial(world, grasp, settings, stepper=timer)
         if part == 1:
             seconds = time.perf_counter() - start
             share, steps = timer.seconds / seconds, timer.steps

@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from gfp_grasp.assets import data_dir
-from gfp_grasp.scenes import ObjectSource, load_objects
-from gfp_grasp.scenes.cache import mesh_sha256
+from gfp_grasp.scenes import ObjectSource, load_objects, mesh_sha256
 from gfp_grasp.types import CollisionMesh, ConvexPart, TrueObject
 
 FILE = "demo_parts.npz"

@@ -11,7 +11,7 @@ import numpy as np
 import trimesh
 
 from gfp_grasp.drawing import Item, spoken, write_clip, write_depth
-from gfp_grasp.scenes.stage import Stage
+from gfp_grasp.scenes import World
 from gfp_grasp.types import DepthImage
 
 HEADINGS = ("object", "class", "fit, mm", "CD, mm", "F", "parts", "grasps", "best grasp", "complete, s", "plan, s")
@@ -62,7 +62,7 @@ def write_scene(
     *,
     image: DepthImage | None,
     frames: Sequence[np.ndarray],
-    stages: Mapping[str, Stage],
+    stages: Mapping[str, World],
 ) -> DemoScene:
     """Write the folder of a scene: pictures, clip, clouds, meshes, simulator scenes, figures.
 

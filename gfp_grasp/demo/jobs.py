@@ -18,8 +18,7 @@ from gfp_grasp.demo.demo_scene import DemoScene, write_scene
 from gfp_grasp.drawing import Item, filmed_trial, items_of, plan_among
 from gfp_grasp.envs import run_trial
 from gfp_grasp.metrics import completion_errors
-from gfp_grasp.scenes import ObjectSource, SceneObject, place_clutter
-from gfp_grasp.scenes.stage import Stage
+from gfp_grasp.scenes import ObjectSource, SceneObject, World, place_clutter
 from gfp_grasp.transforms import apply_T, look_at, make_T, rotation_between
 from gfp_grasp.types import ConvexPart, DepthImage, Grasp, Outcome, TrueObject
 
@@ -52,7 +51,8 @@ def recorded_scene(capture: Capture, *, folder: Path, category: str | None = Non
     completions = complete_capture(capture, category=category, seed=seed)
     T = table_frame(completions)
     planned = items_of(completions, capture.truth, seed=seed)
-    stage = Stage([_body(item.name, item.completion, T) for item in planned])
+    stage = World([_body(item.name, item.completion, T) for item in planned])
+    stage.settle()
     items, frames = [], []
     for item in planned:
         outcome, film = None, []
@@ -71,14 +71,16 @@ def recorded_scene(capture: Capture, *, folder: Path, category: str | None = Non
     )
 
 
-def set_stage(sources: Sequence[ObjectSource], rng: np.random.Generator) -> tuple[Stage, tuple[TrueObject, ...]]:
+def set_stage(sources: Sequence[ObjectSource], rng: np.random.Generator) -> tuple[World, tuple[TrueObject, ...]]:
     """The objects at rest on the table, apart from each other, at random."""
     truths = tuple(load_asset(source) for source in sources)
     poses = place_clutter(truths, rng, radius_m=0.2 if len(truths) > 1 else 0.06, gap_m=0.03)
-    return Stage([SceneObject.of(truth, T) for truth, T in zip(truths, poses, strict=True)]), truths
+    stage = World([SceneObject.of(truth, T) for truth, T in zip(truths, poses, strict=True)])
+    stage.settle()
+    return stage, truths
 
 
-def take_picture(stage: Stage, eye: Sequence[float], rng: np.random.Generator) -> tuple[DepthImage, np.ndarray]:
+def take_picture(stage: World, eye: Sequence[float], rng: np.random.Generator) -> tuple[DepthImage, np.ndarray]:
     """What a sensor at the eye (3,) m sees of the stage, and the geom id (h, w) in each pixel."""
     K, T = intrinsics(WIDTH, HEIGHT, FOV_DEG), look_at(eye, (0.0, 0.0, 0.06))
     depth, geom = render_depth(stage.model, stage.data, K=K, width=WIDTH, height=HEIGHT, T_world_camera=T)
@@ -95,20 +97,19 @@ def table_frame(completions: Sequence[Completion]) -> np.ndarray:
     return make_T(R, [-middle[0], -middle[1], -height])
 
 
-def _try(stage: Stage, grasp: Grasp, target: str, *, film: bool) -> tuple[Outcome, list[np.ndarray]]:
-    """Try a grasp, world frame, on an object of the stage, which is put back before and after."""
-    stage.restore()
+def _try(stage: World, grasp: Grasp, target: str, *, film: bool) -> tuple[Outcome, list[np.ndarray]]:
+    """Try a grasp, world frame, on an object of the stage, which is put back afterwards."""
     frames: list[np.ndarray] = []
     if film:
-        outcome, frames = filmed_trial(stage.model, stage.data, grasp, target=target, alone=len(stage.names) == 1)
+        outcome, frames = filmed_trial(stage, grasp, target=target, alone=len(stage.names) == 1)
     else:
-        outcome = run_trial(stage.model, stage.data, grasp, target=target)
+        outcome = run_trial(stage, grasp, target=target)
     stage.restore()
     return outcome, frames
 
 
 def _truth_of(
-    completion: Completion, stage: Stage, truths: Sequence[TrueObject], geom: np.ndarray
+    completion: Completion, stage: World, truths: Sequence[TrueObject], geom: np.ndarray
 ) -> TrueObject | None:
     """The object that most of the detection's pixels saw; None where that is the table."""
     seen = geom[completion.detection.mask] if completion.detection.mask is not None else geom[:0, 0]
@@ -121,7 +122,7 @@ def _grasped(
     completion: Completion,
     completions: Sequence[Completion],
     truth: TrueObject | None,
-    stage: Stage,
+    stage: World,
     rng: np.random.Generator,
     *,
     seed: int,

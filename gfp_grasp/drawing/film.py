@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 
-from gfp_grasp.envs import TrialSettings, run_trial
-from gfp_grasp.envs.picture import shade
+from gfp_grasp.envs import TrialSettings, run_trial, shade
+from gfp_grasp.scenes import World
 from gfp_grasp.transforms import look_at, rotation_about
 from gfp_grasp.types import Grasp, Outcome
 
@@ -24,8 +23,7 @@ _FROM_THE_SIDE, _OBLIQUE_RAD, _UP = 0.5, np.deg2rad(55.0), np.array([0.0, 0.0, 1
 
 
 def filmed_trial(
-    model: Any,
-    data: Any,
+    world: World,
     grasp: Grasp,
     settings: TrialSettings | None = None,
     *,
@@ -36,8 +34,7 @@ def filmed_trial(
     """Run a trial as `gfp_grasp.envs.run_trial` does, and take pictures of it.
 
     Args:
-        model: Scene with the gripper.
-        data: State of the scene, which is moved on.
+        world: Objects at rest; left as the trial ends.
         grasp: Grasp in the world's frame.
         settings: Numbers of the trial.
         target: Name of the object.
@@ -52,10 +49,10 @@ def filmed_trial(
     frames: list[np.ndarray] = []
 
     def shoot() -> None:
-        frames.append(shade(model, data, width=width, height=height, T_world_camera=T_world_camera))
+        frames.append(shade(world.model, world.data, width=width, height=height, T_world_camera=T_world_camera))
 
     on_step = every_nth(commands_a_frame, shoot)
-    outcome = run_trial(model, data, grasp, settings, target=target, on_step=on_step)
+    outcome = run_trial(world, grasp, settings, target=target, on_step=on_step)
     shoot()
     return outcome, frames
 

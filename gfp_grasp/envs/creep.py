@@ -10,11 +10,10 @@ from dataclasses import replace
 import mujoco
 import numpy as np
 
-from gfp_grasp.envs.rig import Rig
 from gfp_grasp.envs.settings import TrialSettings
 from gfp_grasp.envs.trial import run_trial
-from gfp_grasp.envs.world import TARGET, World
 from gfp_grasp.errors import InvalidOption
+from gfp_grasp.scenes import TARGET, Handles, World
 from gfp_grasp.transforms import invert_T
 from gfp_grasp.types import Grasp
 
@@ -38,15 +37,14 @@ def creep_mps(world: World, grasp: Grasp, settings: TrialSettings, *, seconds: f
     """
     if not 0 < seconds < float("inf"):
         raise InvalidOption(f"seconds is {seconds}; a positive finite number is expected")
-    world.restore()
-    rig = Rig.of(world.model, world.data, TARGET)
+    handles = Handles.of(world, TARGET)
     poses: list[np.ndarray] = []
 
     def note(_: mujoco.MjData) -> None:
-        poses.append(invert_T(rig.T_world_gripper) @ rig.T_world_target)
+        poses.append(invert_T(handles.T_world_gripper) @ handles.T_world_target)
 
     held = replace(settings, hold_s=_SETTLES_S + seconds)
-    run_trial(world.model, world.data, grasp, held, target=TARGET, on_step=note)
+    run_trial(world, grasp, held, on_step=note)
     # The attempt lasts a whole number of commands; the last of them at rest is that at the end of the hold.
     phases = (held.approach_s, held.close_s, held.lift_s, held.hold_s)
     last = sum(max(1, round(phase / held.control_s)) for phase in phases) - 1

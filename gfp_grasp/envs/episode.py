@@ -13,23 +13,23 @@ from gfp_grasp.complete import Completion
 from gfp_grasp.completers import Completer, Oracle, needs_class
 from gfp_grasp.detect import DetectConfig, detect_objects
 from gfp_grasp.envs.config import EnvConfig
-from gfp_grasp.envs.world import World
 from gfp_grasp.errors import AssetMissing, GfpGraspError, NothingDetected
+from gfp_grasp.scenes import TARGET, World
 from gfp_grasp.transforms import apply_T, make_T, rotation_about
 from gfp_grasp.types import CollisionMesh, ConvexPart, DepthImage, Detection, TrueObject
 
 _UP = np.array([0.0, 0.0, 1.0])
 # The camera looks at this share of the object's height.
 _LOOK_AT = 0.4
-_ABOVE_M = 5e-4  # it is put down from so high
+_ABOVE_M = 5e-4  # the object is put down from so high
 
 
 @dataclass(frozen=True)
-class Load:
-    """What makes a grasp easy or hard besides its place.
+class Randomisation:
+    """Domain randomisation of one episode: what makes a grasp easy or hard besides the object's place.
 
     Attributes:
-        mass_kg: Of the object.
+        mass_kg: Mass of the object.
         friction: Sliding friction coefficient of whatever touches it.
         grip_n: Force limit of each jaw.
     """
@@ -39,8 +39,8 @@ class Load:
     grip_n: float
 
     @classmethod
-    def drawn(cls, truth: TrueObject, config: EnvConfig, rng: np.random.Generator) -> Load:
-        """From the ranges of a config."""
+    def draw(cls, truth: TrueObject, config: EnvConfig, rng: np.random.Generator) -> Randomisation:
+        """Draw from the ranges of a config."""
         share, friction, grip = rng.uniform(size=3)
         return cls(
             truth.mass_kg * (1 + config.mass_spread * (2 * share - 1)),
@@ -55,7 +55,7 @@ class Episode:
 
     Attributes:
         truth: The object.
-        load: Its mass and friction, and the force of the jaws.
+        randomisation: Its mass and friction, and the force of the jaws.
         T_world_object: Where it came to rest.
         image: The depth picture, with the sensor's noise.
         detection: What was found in it; None where nothing was.
@@ -65,7 +65,7 @@ class Episode:
     """
 
     truth: TrueObject
-    load: Load
+    randomisation: Randomisation
     T_world_object: np.ndarray
     image: DepthImage
     detection: Detection | None
@@ -86,7 +86,7 @@ def draw_episode(
     rng: np.random.Generator,
     *,
     T_start: np.ndarray | None = None,
-    given: Completion | None = None,
+    completion: Completion | None = None,
 ) -> Episode:
     """Put the object down at random, look at it from a random side, and complete it.
 
@@ -95,44 +95,48 @@ def draw_episode(
         world: Its compiled scene, which is left settled.
         complete: The completer.
         config: Camera and placing.
-        rng: Draws the load, yaw, place, view and noise, in this order.
-        T_start: Where to put it down instead.
-        given: A completion to use in place of the completer's.
+        rng: Draws the domain randomisation, yaw, place, view and noise, in this order.
+        T_start: Where to put the object down instead of a random place.
+        completion: Used in place of what the completer would give. The picture is then the one that it was made of,
+            where that has the size of the config's; else one is taken, as without it.
     """
-    load = Load.drawn(truth, config, rng)
-    world.set_load(load.mass_kg, load.friction)
+    drawn = Randomisation.draw(truth, config, rng)
+    world.set_mass_and_friction(TARGET, drawn.mass_kg, drawn.friction)
     if T_start is None:
         yaw = rotation_about(_UP, rng.uniform(0, 2 * np.pi))
         T_start = make_T(yaw, [*rng.uniform(-config.spread_m, config.spread_m, 2), _ABOVE_M])
-    world.settle(T_start)
-    target = world.T_world_object[:3, 3] + (0.0, 0.0, _LOOK_AT * float(truth.mesh.bounds[1, 2]))
-    image, of_target = _look(world, target, config, rng)
-    if given is not None:
-        return Episode(truth, load, world.T_world_object, image, given.detection, given)
+    world.settle({TARGET: T_start})
+    T_world_object = world.pose(TARGET)
+    if completion is not None:
+        view = completion.detection.view
+        if view is None or view.depth_m.shape != (config.image_height, config.image_width):
+            view, _ = _look(world, truth, config, rng)
+        return Episode(truth, drawn, T_world_object, view, completion.detection, completion)
+    image, is_target = _look(world, truth, config, rng)
     detect = DetectConfig(classify=needs_class(config.completer))
-    detection, completion, failure = None, None, ""
+    detection, completed, failure = None, None, ""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
-            detection = _of_target(detect_objects(image, up=_UP, config=detect), of_target)
-            completion = _complete(complete, detection, truth, world.T_world_object)
+            detection = _detection_of(detect_objects(image, up=_UP, config=detect), is_target)
+            completed = _complete(complete, detection, truth, T_world_object)
         except AssetMissing:  # says nothing of the object: the installation is broken
             raise
         except GfpGraspError as error:
             failure = f"{type(error).__name__}: {error}"
     notes = "; ".join(str(warning.message) for warning in caught if issubclass(warning.category, UserWarning))
-    return Episode(truth, load, world.T_world_object, image, detection, completion, failure, notes)
+    return Episode(truth, drawn, T_world_object, image, detection, completed, failure, notes)
 
 
 def _look(
-    world: World, target: np.ndarray, config: EnvConfig, rng: np.random.Generator
+    world: World, truth: TrueObject, config: EnvConfig, rng: np.random.Generator
 ) -> tuple[DepthImage, np.ndarray]:
-    """The depth picture, and which of its pixels are the object."""
+    """The depth picture from a random side, and which of its pixels (h, w) show the object."""
     T_world_camera = sample_viewpoint(
         rng,
         elevation_deg=(config.elevation_min_deg, config.elevation_max_deg),
         distance_m=config.distance_m,
-        target=target,
+        target=world.pose(TARGET)[:3, 3] + (0.0, 0.0, _LOOK_AT * float(truth.mesh.bounds[1, 2])),
     )
     K = intrinsics(config.image_width, config.image_height, config.fov_deg)
     # Rays, not OpenGL, so that one seed gives one picture on every machine.
@@ -146,12 +150,12 @@ def _look(
         backend="rays",
     )
     image = apply_sensor(DepthImage(depth, K, T_world_camera), config.sensor_model, rng)
-    return image, world.shows_target(geom)
+    return image, np.append(world.geoms(TARGET), False)[geom]  # the last for -1, where there is nothing
 
 
-def _of_target(detections: tuple[Detection, ...], of_target: np.ndarray) -> Detection:
+def _detection_of(detections: tuple[Detection, ...], is_target: np.ndarray) -> Detection:
     """The detection with most pixels of the object: what is asked for has been pointed at."""
-    shared = [0 if d.mask is None else int((d.mask & of_target).sum()) for d in detections]
+    shared = [0 if d.mask is None else int((d.mask & is_target).sum()) for d in detections]
     if not any(shared):
         raise NothingDetected("nothing of the object stands out from the table in this view")
     return detections[int(np.argmax(shared))]

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict
-from dataclasses import replace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Literal
 
 import gymnasium
 import numpy as np
@@ -12,20 +10,17 @@ from gymnasium import spaces
 from gymnasium.utils import EzPickle
 
 from gfp_grasp.complete import Completion
-from gfp_grasp.completers import completer
 from gfp_grasp.envs.action import NUM_ACTION, ActionCode
 from gfp_grasp.envs.config import EnvConfig
-from gfp_grasp.envs.episode import Episode, draw_episode
+from gfp_grasp.envs.episode import Episode
 from gfp_grasp.envs.human import HumanView, has_display
-from gfp_grasp.envs.memory import give_back_memory
 from gfp_grasp.envs.observation import Observation, observation_space, observe
 from gfp_grasp.envs.picture import shade
 from gfp_grasp.envs.settings import TrialSettings
-from gfp_grasp.envs.trial import run_trial
-from gfp_grasp.envs.world import TARGET, World
+from gfp_grasp.envs.task import GraspTask
 from gfp_grasp.errors import GfpGraspError, InvalidOption
-from gfp_grasp.scenes import SceneObject, load_objects, place_clutter
-from gfp_grasp.types import Outcome, TrueObject
+from gfp_grasp.scenes import ObjectSource, World
+from gfp_grasp.types import Outcome
 
 _RESET_OPTIONS = ("object", "completion")
 
@@ -95,23 +90,22 @@ class GfpGraspEnv(gymnasium.Env[Observation, np.ndarray], EzPickle):
         "render_fps": 1,
     }
 
-    def __init__(self, **options: object) -> None:
+    def __init__(self, **options: Any) -> None:
         EzPickle.__init__(self, **options)
         self.config = EnvConfig.of(options)
         self.render_mode = self.config.render_mode
         self.action_code = ActionCode()
-        self.settings = TrialSettings()
-        # Compiled scenes are kept for this many objects, at up to 10 MB each; making one anew takes 0.2 s.
-        self.kept_worlds = 16
         self.action_space = spaces.Box(-1.0, 1.0, (NUM_ACTION,), np.float32)
         self.observation_space = observation_space(self.config)  # pyright: ignore[reportAttributeAccessIssue]
-        self.sources = load_objects(self.config.objects, self.config.split, self.config.limit or None)
-        self._complete = completer(self.config.completer)
-        self._truths: OrderedDict[int, tuple[TrueObject, World]] = OrderedDict()
-        self._episode: Episode | None = None
+        self.task = GraspTask(self.config)
         self._observation: Observation | None = None
-        self._world: World | None = None
+        self._failure = ""
         self._human = HumanView() if self.render_mode == "human" else None
+
+    @property
+    def sources(self) -> tuple[ObjectSource, ...]:
+        """The objects that episodes are about, by number."""
+        return self.task.sources
 
     @property
     def episode(self) -> Episode:
@@ -120,9 +114,9 @@ class GfpGraspEnv(gymnasium.Env[Observation, np.ndarray], EzPickle):
         Raises:
             gymnasium.error.ResetNeeded: Before the first reset.
         """
-        if self._episode is None:
+        if self.task.episode is None:
             raise gymnasium.error.ResetNeeded("reset the environment first: there is no episode yet")
-        return self._episode
+        return self.task.episode
 
     @property
     def completion(self) -> Completion | None:
@@ -131,43 +125,41 @@ class GfpGraspEnv(gymnasium.Env[Observation, np.ndarray], EzPickle):
 
     @property
     def trial_settings(self) -> TrialSettings:
-        """Numbers of an attempt in the current episode, its grip among them."""
-        return replace(self.settings, grip_n=self.episode.load.grip_n)
+        """Numbers of a trial in the current episode, its grip among them."""
+        return self.task.trial_settings
 
     @property
     def world(self) -> World | None:
-        """The compiled scene that attempts of the current episode run in; None where there is none."""
-        return self._world
+        """The compiled scene that trials of the current episode run in; None where there is none."""
+        return None if self._failure else self.task.world(self._which)
 
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
         """Draw an object, its place and a view; detect and complete it."""
         super().reset(seed=seed)
-        give_back_memory()
-        number, given = self._chosen(options)
-        truth, world, T_start, others = self._scene(number)
-        self._episode = draw_episode(
-            truth, world, self._complete, self.config, self.np_random, T_start=T_start, given=given
-        )
-        self._episode, self._world = self._world_of(self._episode, world, others)
-        self._observation = observe(self._episode, self.config, self.np_random)
+        number, completion = _asked_for(options)
+        episode = self.task.draw(self.np_random, number=number, completion=completion)
+        self._failure = ""
+        try:
+            self.task.world(self._which)
+        except GfpGraspError as error:  # the completion has no parts, or none that MuJoCo takes
+            self._failure = f"{type(error).__name__}: {error}"
+        self._observation = observe(episode, self.config, self.np_random)
         self._show()
         return _copy(self._observation), self._info(None)
 
     def step(self, action: np.ndarray) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
-        """Attempt one grasp."""
+        """Try one grasp."""
         if self._observation is None:
             raise gymnasium.error.ResetNeeded("reset the environment before its first step")
         grasp = self.action_code.decode(action)
-        if self._world is None:
-            outcome = Outcome(False, "no_grasp_found", 0.0, 0.0, False, self.settings.as_dict())
-        else:
-            self._world.restore()
-            model, data, floats = self._world.model, self._world.data, self.config.world == "completed"
+        watch = None
+        if self._human is not None and self.world is not None:
+            self.world.restore()
             self._show()
-            watch = None if self._human is None else self._human.follow
-            outcome = run_trial(model, data, grasp, self.trial_settings, target=TARGET, floats=floats, on_step=watch)
+            watch = self._human.follow
+        outcome = self.task.run_trial(grasp, world=self._which, on_step=watch)
         return _copy(self._observation), float(outcome.success), True, False, self._info(outcome)
 
     def render(self) -> np.ndarray | None:  # pyright: ignore[reportIncompatibleMethodOverride]
@@ -178,82 +170,24 @@ class GfpGraspEnv(gymnasium.Env[Observation, np.ndarray], EzPickle):
         if self._human is not None:
             self._show()
             return None
-        if self._world is None:  # not reset yet, or nothing to simulate
+        if self.world is None:  # not reset yet, or nothing to simulate
             return np.zeros((240, 320, 3), dtype=np.uint8)
-        return shade(self._world.model, self._world.data)
+        return shade(self.world.model, self.world.data)
 
     def close(self) -> None:
         """Let go of the compiled scenes."""
         if self._human is not None:
             self._human.close()
-        self._truths.clear()
-        self._world = self._episode = self._observation = None
+        self.task.close()
+        self._observation = None
+
+    @property
+    def _which(self) -> Literal["true", "completed"]:
+        return "completed" if self.config.world == "completed" else "true"
 
     def _show(self) -> None:
-        if self._human is not None and self._world is not None:
-            self._human.show(self._world.model, self._world.data)
-
-    def _chosen(self, options: dict[str, Any] | None) -> tuple[int, Completion | None]:
-        """Number of the object and the completion to use, as asked for or drawn."""
-        drawn = int(self.np_random.integers(len(self.sources)))  # always, so that later draws do not depend on options
-        if options is None:
-            return drawn, None
-        legal = ", ".join(_RESET_OPTIONS)
-        if not isinstance(options, dict):
-            raise InvalidOption(f"reset options are {options!r}; a dict is expected, of {legal}")
-        unknown = [key for key in options if key not in _RESET_OPTIONS]
-        if unknown:
-            raise InvalidOption(f"unknown reset option {', '.join(map(repr, unknown))}; legal are {legal}")
-        number, given = options.get("object", drawn), options.get("completion")
-        if not isinstance(number, (int, np.integer)) or not 0 <= number < len(self.sources):
-            raise InvalidOption(f"there is no object {number!r}; there are 0 to {len(self.sources) - 1}")
-        if given is not None and not isinstance(given, Completion):
-            raise InvalidOption(f"completion is a {type(given).__name__}; a Completion or None is expected")
-        return int(number), given
-
-    def _scene(self, number: int) -> tuple[TrueObject, World, np.ndarray | None, tuple[SceneObject, ...]]:
-        """The object, its world, where it is to be put down if that is drawn already, and what stands around it."""
-        truth, world = self._true_world(number)
-        if not self.config.clutter:
-            return truth, world, None, ()
-        drawn = self.np_random.integers(len(self.sources), size=self.config.clutter)
-        around = [self._true_world(int(other))[0] for other in drawn]
-        T_start, *places = place_clutter([truth, *around], self.np_random)
-        # They are stuck to the table: hundreds of contacts of things at rest would take most of the time, and whatever
-        # touches them has failed in any case.
-        others = tuple(
-            replace(SceneObject.of(thing, T, name=f"clutter_{i}"), fixed=True)
-            for i, (thing, T) in enumerate(zip(around, places, strict=True))
-        )
-        return truth, World.of_truth(truth, T_start, others), T_start, others
-
-    def _true_world(self, number: int) -> tuple[TrueObject, World]:
-        if number not in self._truths:
-            source = self.sources[number]
-            try:
-                truth = source.load()
-                self._truths[number] = (truth, World.of_truth(truth))
-            except GfpGraspError as error:
-                advice = f"repair it or take it out of {self.config.objects!r}"
-                raise type(error)(f"object {source.name!r} cannot be simulated, {advice}: {error}") from error
-            if len(self._truths) > self.kept_worlds:
-                self._truths.popitem(last=False)
-        self._truths.move_to_end(number)
-        return self._truths[number]
-
-    def _world_of(
-        self, episode: Episode, true_world: World, others: tuple[SceneObject, ...]
-    ) -> tuple[Episode, World | None]:
-        """The world that attempts run in, None where there is none to be had; the episode says why."""
-        if self.config.world == "true":
-            return episode, true_world
-        if episode.completion is None:
-            return episode, None
-        try:
-            parts = episode.completion.collision.parts
-            return episode, World.of_parts(parts, episode.load.mass_kg, episode.load.friction, others)
-        except GfpGraspError as error:  # no parts of it, or none that MuJoCo takes
-            return replace(episode, failure=f"{type(error).__name__}: {error}"), None
+        if self._human is not None and self.world is not None:
+            self._human.show(self.world.model, self.world.data)
 
     def _info(self, outcome: Outcome | None) -> dict[str, Any]:
         episode = self.episode
@@ -265,16 +199,32 @@ class GfpGraspEnv(gymnasium.Env[Observation, np.ndarray], EzPickle):
             "falls_free": bool(outcome and outcome.falls_free),
             "object": episode.truth.name,
             "category": episode.truth.category,
-            "mass_kg": episode.load.mass_kg,
-            "friction": episode.load.friction,
-            "grip_n": episode.load.grip_n,
+            "mass_kg": episode.randomisation.mass_kg,
+            "friction": episode.randomisation.friction,
+            "grip_n": episode.randomisation.grip_n,
             "completer": self.config.completer,
             "world": self.config.world,
             "completion_failed": episode.completion is None,
-            "completion_error": episode.failure,
+            "completion_error": episode.failure or self._failure,
             "completion_notes": episode.notes,
             "num_observed": 0 if episode.detection is None else len(episode.detection.cloud.points),
         }
+
+
+def _asked_for(options: dict[str, Any] | None) -> tuple[int | None, Completion | None]:
+    """Number of the object and the completion that the options of a reset ask for."""
+    if options is None:
+        return None, None
+    legal = ", ".join(_RESET_OPTIONS)
+    if not isinstance(options, dict):
+        raise InvalidOption(f"reset options are {options!r}; a dict is expected, of {legal}")
+    unknown = [key for key in options if key not in _RESET_OPTIONS]
+    if unknown:
+        raise InvalidOption(f"unknown reset option {', '.join(map(repr, unknown))}; legal are {legal}")
+    completion = options.get("completion")
+    if completion is not None and not isinstance(completion, Completion):
+        raise InvalidOption(f"completion is a {type(completion).__name__}; a Completion or None is expected")
+    return options.get("object"), completion
 
 
 def _copy(observation: Observation) -> Observation:

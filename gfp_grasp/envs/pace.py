@@ -11,8 +11,7 @@ from types import SimpleNamespace
 
 import mujoco
 
-from gfp_grasp.envs.rig import Rig
-from gfp_grasp.envs.world import TARGET, World
+from gfp_grasp.scenes import TARGET, Handles, SceneObject, World
 from gfp_grasp.types import ConvexPart, Grasp
 
 _MASS_KG, _FRICTION = 0.2, 0.8
@@ -26,10 +25,10 @@ def held_steps_per_s(parts: tuple[ConvexPart, ...], grasp: Grasp, *, steps: int 
         grasp: Where the jaws close, world frame.
         steps: So many to close, and so many that are timed.
     """
-    world = World.of_parts(parts, _MASS_KG, _FRICTION)
-    rig = Rig.of(world.model, world.data, TARGET)
-    rig.place(grasp.T_world_gripper, grasp.width_m + 0.01)
-    rig.set_opening(0.0)
+    world = World([SceneObject.of_parts(parts, _MASS_KG, _FRICTION)])
+    handles = Handles.of(world, TARGET)
+    handles.place(grasp.T_world_gripper, grasp.width_m + 0.01)
+    handles.set_opening(0.0)
     mujoco.mj_step(world.model, world.data, steps)
     start = time.perf_counter()
     mujoco.mj_step(world.model, world.data, steps)

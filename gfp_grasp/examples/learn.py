@@ -19,7 +19,7 @@ import gymnasium
 import numpy as np
 from gymnasium import spaces
 
-from gfp_grasp.envs.action import ActionCode
+from gfp_grasp.envs import ActionCode
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.journal import write_whole
 from gfp_grasp.score import wilson_interval

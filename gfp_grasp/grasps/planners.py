@@ -30,7 +30,7 @@ PLANNERS: dict[str, Planner] = {
 }
 
 
-def planner(name: str) -> Planner:
+def get_planner(name: str) -> Planner:
     """A planner by name.
 
     Args:

@@ -3,36 +3,41 @@
 from importlib import import_module
 from typing import TYPE_CHECKING
 
+from gfp_grasp.scenes.cache import mesh_sha256
 from gfp_grasp.scenes.objects import true_object
 from gfp_grasp.scenes.placing import place_clutter
-from gfp_grasp.scenes.scene_object import SceneObject
+from gfp_grasp.scenes.scene_object import TARGET, SceneObject
 from gfp_grasp.scenes.sources import SUFFIXES, ObjectSource, label_of, load_objects
 
 if TYPE_CHECKING:
     from gfp_grasp.scenes.build import build_scene, compile_scene, save_scene
-    from gfp_grasp.scenes.gripper import FINGERS, PADS, PALM, place_gripper
+    from gfp_grasp.scenes.gripper import gripper_pose, place_gripper
+    from gfp_grasp.scenes.handles import Handles
+    from gfp_grasp.scenes.world import World
 
 _LATER = {
+    "Handles": "handles",
+    "World": "world",
     "build_scene": "build",
     "compile_scene": "build",
-    "save_scene": "build",
-    "FINGERS": "gripper",
-    "PADS": "gripper",
-    "PALM": "gripper",
+    "gripper_pose": "gripper",
     "place_gripper": "gripper",
+    "save_scene": "build",
 }
 
 __all__ = [
-    "FINGERS",
-    "PADS",
-    "PALM",
     "SUFFIXES",
+    "TARGET",
+    "Handles",
     "ObjectSource",
     "SceneObject",
+    "World",
     "build_scene",
     "compile_scene",
+    "gripper_pose",
     "label_of",
     "load_objects",
+    "mesh_sha256",
     "place_clutter",
     "place_gripper",
     "save_scene",

@@ -11,10 +11,9 @@ from PIL import Image
 
 from gfp_grasp.drawing import filmed_trial, overlay, spoken, write_clip
 from gfp_grasp.envs import GfpGraspEnv
-from gfp_grasp.envs.world import TARGET
 from gfp_grasp.errors import CannotWrite, GfpGraspError, InvalidOption
-from gfp_grasp.grasps import planner
-from gfp_grasp.scenes import load_objects
+from gfp_grasp.grasps import get_planner
+from gfp_grasp.scenes import TARGET, load_objects
 from gfp_grasp.score.report import Report, ScoreRow, method_names
 from gfp_grasp.types import Grasp
 
@@ -184,7 +183,7 @@ def _best_grasp(env: GfpGraspEnv, row: ScoreRow, report: Report) -> Grasp | None
         return None
     _, name = method_names(row.completer)
     num, seed = int(str(report.settings["grasps"])), int(str(report.settings["seed"]))
-    grasp = next(islice(planner(name)(env.completion, num, seed=seed), num), None)
+    grasp = next(islice(get_planner(name)(env.completion, num, seed=seed), num), None)
     return None if grasp is None else env.action_code.decode(env.action_code.encode(grasp))
 
 
@@ -192,10 +191,8 @@ def _film(env: GfpGraspEnv, grasp: Grasp, path: Path) -> str:
     """Write the clip; returns the reason for which the trial ended."""
     world = env.world
     assert world is not None, "the true world is always there after a reset"
-    world.restore()
     outcome, frames = filmed_trial(
-        world.model,
-        world.data,
+        world,
         grasp,
         env.trial_settings,
         target=TARGET,

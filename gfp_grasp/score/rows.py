@@ -17,8 +17,7 @@ from gfp_grasp.completion import Completion
 from gfp_grasp.detect.box import upright_box
 from gfp_grasp.envs import GfpGraspEnv
 from gfp_grasp.errors import GfpGraspError, InvalidOption, WorkerLost
-from gfp_grasp.grasps import GraspConfig, plan_grasps, planner
-from gfp_grasp.grasps.planners import PLANNERS
+from gfp_grasp.grasps import PLANNERS, GraspConfig, get_planner, plan_grasps
 from gfp_grasp.metrics import CompletionErrors, completion_errors
 from gfp_grasp.primitives import list_primitives
 from gfp_grasp.score.report import ScoreRow, method_names
@@ -183,7 +182,7 @@ def best_grasps(
     """The best grasps that a method's planner finds on a completion, and a note where there are none."""
     name = method_names(method)[1]
     try:
-        found = tuple(islice(planner(name)(completion, num, seed=seed), num))
+        found = tuple(islice(get_planner(name)(completion, num, seed=seed), num))
         for grasp in found:
             if not isinstance(grasp, Grasp):
                 raise InvalidOption(
@@ -203,7 +202,7 @@ def best_grasps(
 def _cached_env(objects: str, split: str, clutter: int, completer_name: str, world: str) -> GfpGraspEnv:
     """One environment a process and completer, so that scenes are compiled once."""
     env = GfpGraspEnv(objects=objects, split=split, clutter=clutter, completer=completer_name, world=world)
-    env.kept_worlds = 1 + clutter  # a score goes object by object
+    env.task.num_kept = 1 + clutter  # a score goes object by object
     return env
 
 

@@ -12,7 +12,7 @@ from gfp_grasp import __version__
 from gfp_grasp.completers import completer
 from gfp_grasp.envs import TrialSettings
 from gfp_grasp.errors import GfpGraspError, InvalidMesh, InvalidOption
-from gfp_grasp.grasps import planner
+from gfp_grasp.grasps import get_planner
 from gfp_grasp.journal import Journal
 from gfp_grasp.parallel import pmap
 from gfp_grasp.scenes import ObjectSource, label_of, load_objects
@@ -45,7 +45,7 @@ def score(
     Args:
         objects: Families ("cup,mug"), a mesh file, or a folder of `<class>__<name>.<suffix>`.
         completers: Names, see `gfp_grasp.completers.completer`; behind a slash the planner's, see
-            `gfp_grasp.grasps.planner`, if it is not `antipodal`, as in "gfpnet/top-down".
+            `gfp_grasp.grasps.get_planner`, if it is not `antipodal`, as in "gfpnet/top-down".
         config: Objects, views and grasps.
         workers: Number of processes; the result does not depend on it.
         ray: Address of a Ray cluster to run on, or "auto"; the result is the same.
@@ -65,7 +65,7 @@ def score(
     for method in completers:
         completer_name, planner_name = method_names(method)
         completer(completer_name)
-        planner(planner_name)
+        get_planner(planner_name)
     how = {"workers": workers, "ray": ray}
     kept, ungraspable = _split_graspable(_chosen(objects, config), str(objects), config.split, **how)
     jobs = [

@@ -10,10 +10,9 @@ import trimesh
 
 from gfp_grasp.drawing import every_nth, joined_boxes
 from gfp_grasp.envs import GfpGraspEnv, run_trial
-from gfp_grasp.envs.world import TARGET
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.grasps import Gripper
-from gfp_grasp.scenes.gripper import gripper_pose
+from gfp_grasp.scenes import TARGET, gripper_pose
 from gfp_grasp.transforms import quat_wxyz
 from gfp_grasp.types import Grasp, Outcome
 from gfp_grasp.view.colours import GRIPPER
@@ -67,21 +66,18 @@ def record_trial(env: GfpGraspEnv, grasp: Grasp) -> Motion:
     world = env.world
     if world is None:
         raise InvalidOption("there is no scene to try the grasp in: completion failed; reset to another seed")
-    world.restore()
-    every = max(1, round(1.0 / (FRAMES_PER_S * env.settings.control_s)))
-    T_start = world.T_world_object
+    every = max(1, round(1.0 / (FRAMES_PER_S * env.trial_settings.control_s)))
+    T_start = world.pose(TARGET)
     grippers, openings, objects = [], [], []
 
     def shoot() -> None:
         T_world_gripper, opening_m = gripper_pose(world.model, world.data)
         grippers.append(T_world_gripper)
         openings.append(opening_m)
-        objects.append(world.T_world_object)
+        objects.append(world.pose(TARGET))
 
     floats, on_step = env.config.world == "completed", every_nth(every, shoot)
-    outcome = run_trial(
-        world.model, world.data, grasp, env.trial_settings, target=TARGET, floats=floats, on_step=on_step
-    )
+    outcome = run_trial(world, grasp, env.trial_settings, floats=floats, on_step=on_step)
     shoot()
     world.restore()
     return Motion(outcome, np.stack(grippers), np.array(openings), np.stack(objects), T_start)

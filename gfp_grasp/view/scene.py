@@ -13,7 +13,7 @@ from gfp_grasp.camera import backproject
 from gfp_grasp.captures import Capture, complete_capture
 from gfp_grasp.completion import Completion
 from gfp_grasp.drawing import Item, items_of, make_item
-from gfp_grasp.envs.episode import Episode
+from gfp_grasp.envs import Episode
 from gfp_grasp.types import DepthImage
 
 _UP = np.array([0.0, 0.0, 1.0])
@@ -81,7 +81,7 @@ def scene_of_episode(episode: Episode, *, title: str, seed: int = 0) -> ShownSce
     truth = episode.true_mesh()
     completion = episode.completion
     items = () if completion is None else (make_item(episode.truth.name, completion, (completion,), truth, seed=seed),)
-    load = episode.load
+    load = episode.randomisation
     return ShownScene(
         title,
         items,

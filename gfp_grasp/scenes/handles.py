@@ -12,6 +12,7 @@ import numpy as np
 
 from gfp_grasp.errors import InvalidScene
 from gfp_grasp.scenes.gripper import ACTUATOR, BODY, MOCAP, PADS, SQUEEZE, STROKE_M, place_gripper
+from gfp_grasp.scenes.world import World
 from gfp_grasp.transforms import make_T
 from gfp_grasp.types import Grasp
 
@@ -27,8 +28,8 @@ _WARNINGS = [
 
 
 @dataclass(frozen=True, eq=False)
-class Rig:
-    """A gripper, an object, and the state that they are in.
+class Handles:
+    """Where to find the gripper and one object in a compiled scene and its state.
 
     Attributes:
         model: The scene.
@@ -53,12 +54,13 @@ class Rig:
     is_target: np.ndarray
 
     @classmethod
-    def of(cls, model: mujoco.MjModel, data: mujoco.MjData, target: str) -> Rig:
+    def of(cls, world: World, target: str) -> Handles:
         """Find the gripper of sim_scenes/gripper.xml and a body by name.
 
         Raises:
             InvalidScene: The scene has no gripper, or no such body.
         """
+        model = world.model
         bodies = {name: mujoco.mj_name2id(model, mujoco.mjtObj.mjOBJ_BODY, name) for name in (BODY, MOCAP, target)}
         missing = [name for name, number in bodies.items() if number < 0]
         if missing:
@@ -69,7 +71,7 @@ class Rig:
         is_pad[[model.geom(name).id for name in PADS]] = True
         return cls(
             model=model,
-            data=data,
+            data=world.data,
             target=bodies[target],
             gripper=bodies[BODY],
             mocap=int(model.body_mocapid[bodies[MOCAP]]),
@@ -118,12 +120,16 @@ class Rig:
         """Opening that the jaws are to take; nothing can keep them from pressing where it is below zero."""
         self.data.ctrl[self.servo] = max(opening_m, SQUEEZE)
 
+    def open_jaws(self) -> None:
+        """Open the jaws as wide as they go."""
+        self.set_opening(STROKE_M)
+
     def largest_force_n(self) -> float:
         """Largest normal force between the gripper and anything else."""
         pairs = self.data.contact.geom
-        foreign = np.flatnonzero(self.is_gripper[pairs[:, 0]] != self.is_gripper[pairs[:, 1]])
+        others = np.flatnonzero(self.is_gripper[pairs[:, 0]] != self.is_gripper[pairs[:, 1]])
         force, largest = np.zeros(6), 0.0
-        for contact in foreign:
+        for contact in others:
             mujoco.mj_contactForce(self.model, self.data, int(contact), force)
             largest = max(largest, float(force[0]))
         return largest

@@ -1,0 +1,128 @@
+"""Objects on a table under the gripper: compiled once, reset by copying a state."""
+
+# MuJoCo's names come from compiled modules, into which the type checker does not see.
+# pyright: reportAttributeAccessIssue=false
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from gfp_grasp.errors import InvalidScene
+from gfp_grasp.scenes.build import build_scene, compile_scene, save_scene
+from gfp_grasp.scenes.scene_object import SceneObject
+from gfp_grasp.transforms import make_T, quat_wxyz
+
+_STATE = int(mujoco.mjtState.mjSTATE_INTEGRATION)
+# Objects slower than this have come to rest; those that have not after _LONGEST_S are taken as they are.
+_REST_MPS, _LONGEST_S, _CHECK_S = 1e-3, 2.0, 0.05
+
+
+class World:
+    """A compiled scene with the gripper, and a state to come back to.
+
+    Attributes:
+        model: The scene.
+        data: Its state.
+        objects: What was put into it, as it was given.
+    """
+
+    def __init__(self, objects: Sequence[SceneObject]) -> None:
+        """Compile the scene; the state to come back to is the one that the objects give.
+
+        Raises:
+            InvalidScene: MuJoCo refuses it.
+        """
+        self.objects = tuple(objects)
+        self.model = compile_scene(build_scene(objects, gripper=True))
+        self.data = mujoco.MjData(self.model)
+        self._state = np.zeros(mujoco.mj_stateSize(self.model, _STATE))
+        self._remember()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the objects, in their order."""
+        return tuple(thing.name for thing in self.objects)
+
+    def pose(self, name: str) -> np.ndarray:
+        """T_world_object (4, 4) of an object as it is now.
+
+        Raises:
+            InvalidScene: There is no object of that name.
+        """
+        body = self._body(name)
+        return make_T(self.data.xmat[body].reshape(3, 3), self.data.xpos[body])
+
+    def geoms(self, name: str) -> np.ndarray:
+        """(ngeom,) bool, the geoms of an object.
+
+        Raises:
+            InvalidScene: There is no object of that name.
+        """
+        return self.model.geom_bodyid == self._body(name)
+
+    def set_mass_and_friction(self, name: str, mass_kg: float, friction: float) -> None:
+        """Give an object another mass, spread as before, and another friction; settle or restore the world afterwards.
+
+        Raises:
+            InvalidScene: There is no object of that name.
+        """
+        body = self._body(name)
+        ratio = mass_kg / self.model.body_mass[body]
+        self.model.body_mass[body] *= ratio
+        self.model.body_inertia[body] *= ratio
+        self.model.geom_friction[self.geoms(name), 0] = friction
+        mujoco.mj_setConst(self.model, self.data)
+
+    def settle(self, T_world_object: Mapping[str, np.ndarray] | None = None) -> None:
+        """Let all objects come to rest from the scene's start, and remember that state.
+
+        Args:
+            T_world_object: (4, 4) poses of objects, by name, that start elsewhere than in the scene.
+
+        Raises:
+            InvalidScene: There is no object of that name, or it is fixed.
+        """
+        mujoco.mj_resetData(self.model, self.data)
+        joints = {thing.name: self.model.joint(f"{thing.name}_free") for thing in self.objects if not thing.fixed}
+        for name, T in (T_world_object or {}).items():
+            self._body(name)
+            if name not in joints:
+                raise InvalidScene(f"{name!r} is fixed: it stays where the scene has it")
+            at = joints[name].qposadr[0]
+            self.data.qpos[at : at + 3] = T[:3, 3]
+            self.data.qpos[at + 3 : at + 7] = quat_wxyz(T[:3, :3])
+        first = np.array([joint.dofadr[0] for joint in joints.values()], dtype=int)
+        speeds = (first[:, None] + np.arange(6)).ravel()
+        steps = round(_CHECK_S / self.model.opt.timestep)
+        for _ in range(round(_LONGEST_S / _CHECK_S)):
+            mujoco.mj_step(self.model, self.data, steps)
+            if np.abs(self.data.qvel[speeds]).max(initial=0.0) < _REST_MPS:
+                break
+        self.data.qvel[speeds] = 0.0
+        self._remember()
+
+    def restore(self) -> None:
+        """Go back to the state after the last settling, or to the scene's start where there was none."""
+        mujoco.mj_resetData(self.model, self.data)
+        mujoco.mj_setState(self.model, self.data, self._state, _STATE)
+        mujoco.mj_forward(self.model, self.data)
+
+    def save(self, path: str | Path) -> None:
+        """Write the scene, its objects at rest, as MJCF."""
+        self.restore()
+        at_rest = [replace(thing, T_world_object=self.pose(thing.name)) for thing in self.objects]
+        save_scene(build_scene(at_rest, gripper=True), path)
+
+    def _remember(self) -> None:
+        mujoco.mj_forward(self.model, self.data)
+        mujoco.mj_getState(self.model, self.data, self._state, _STATE)
+
+    def _body(self, name: str) -> int:
+        if name not in self.names:
+            raise InvalidScene(f"there is no object {name!r}; there are {', '.join(self.names) or 'none'}")
+        return self.model.body(name).id
