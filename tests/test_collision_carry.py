@@ -1,11 +1,15 @@
 """Parts that ride along with a primitive, and the choice between ways to collision parts."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
+from bodies import AWAY, TURN
 
 from gfp_grasp.collision import DecomposeConfig, carry_parts, collision_of, decompose
-from gfp_grasp.collision.convex import volume_m3, within_parts
+from gfp_grasp.collision.carry import _barycentric, _on_surface, _thinned
+from gfp_grasp.collision.convex import PartFaces, convex_part, volume_m3, within_parts
 from gfp_grasp.collision.fidelity import union_error_m
 from gfp_grasp.errors import DecompositionFailed, InvalidMesh
 from gfp_grasp.primitives import load_primitive
@@ -117,6 +121,61 @@ def test_points_off_the_surface_keep_their_height_in_proportion():
     inner = trimesh.creation.box((0.09, 0.09, 0.09))
     found = carry_parts(primitive(solid, (ConvexPart(inner.vertices, inner.faces),)), 2 * solid.vertices)
     np.testing.assert_allclose(np.ptp(found[0].vertices, axis=0), 0.18, rtol=1e-6)
+
+
+def test_the_corners_of_a_fine_ring_are_thinned_but_no_point_is_far_from_one_that_stays():
+    angle = np.linspace(0, 2 * np.pi, 64, endpoint=False)
+    ring = 0.0125 * np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
+    cloud = np.vstack([ring, np.add(ring, [0, 0, 0.03])]) @ TURN.T + AWAY
+    kept = _thinned(cloud)
+    assert len(kept) <= 80
+    part = convex_part(kept)
+    assert part is not None
+    assert PartFaces.of([part]).height(cloud, 0).max() <= 1e-4
+    flat = np.array([[x, y, 0.0] for x in range(11) for y in range(21)]) * 0.002
+    wall = np.vstack([flat, np.add(flat, [0, 0, 0.001])])
+    kept = _thinned(wall)
+    assert np.linalg.norm(wall[:, None] - kept, axis=2).min(axis=1).max() <= 0.005
+    assert len(kept) < len(wall) / 4
+
+
+def test_the_order_of_merges_is_the_primitives_own_where_it_has_one():
+    own = replace(TEMPLATE, part_merges=np.array([[3, 4], [5, 0], [6, 1], [7, 2]]))
+    volumes = [volume_m3(part) for part in carry_parts(own, CUP.vertices, count=4)]
+    assert volumes[:3] == pytest.approx([volume_m3(box) for box in BOXES[:3]])
+    across = volume_m3(ConvexPart(*hull_of(np.concatenate([BOXES[3].vertices, BOXES[4].vertices]))))
+    assert volumes[3] == pytest.approx(across)
+    wrong = replace(TEMPLATE, part_merges=np.array([[3, 4]]))
+    assert max(volume_m3(part) for part in carry_parts(wrong, CUP.vertices, count=4)) < 0.9 * across
+
+
+def hull_of(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    found = trimesh.convex.convex_hull(points)
+    return found.vertices, found.faces
+
+
+def test_weights_on_a_triangle_give_the_point_back_and_on_a_needle_the_nearest_corner():
+    triangle = np.array([[0, 0, 0], [0.03, 0, 0.01], [0.01, 0.02, 0]]) + AWAY
+    needle = np.array([[0, 0, 0], [0.01, 0, 0], [0.03, 0, 0]]) + AWAY
+    share = np.array([0.2, 0.5, 0.3])
+    point = share @ triangle
+    found = _barycentric(np.stack([triangle, needle]), np.stack([point, np.add(AWAY, [0.028, 0, 0])]))
+    np.testing.assert_allclose(found, [share, [0, 0, 1]], atol=1e-9)
+    outside = _barycentric(triangle[None], (triangle[0] - 0.001 * (triangle[1] - triangle[0]))[None])
+    assert (outside >= 0).all()
+    assert outside.sum() == pytest.approx(1)
+
+
+def test_a_point_on_a_large_face_beside_many_small_ones_finds_its_own():
+    plate = trimesh.creation.box(bounds=[[0, 0, -0.1], [1, 1, 0]])
+    ball = trimesh.creation.icosphere(subdivisions=2, radius=0.005).apply_translation([0.05, 0.05, 0.01])
+    both = trimesh.Trimesh(
+        np.vstack([plate.vertices, ball.vertices]), np.vstack([plate.faces, ball.faces + len(plate.vertices)])
+    )
+    places = np.array([[0.05, 0.045, 0.0], [0.05, 0.05, 0.015]])
+    feet, face = _on_surface(both, places)
+    np.testing.assert_allclose(feet, places, atol=2e-4)
+    assert (face < 12).tolist() == [True, False]
 
 
 def test_the_twin_stands_in_where_the_vertices_are_its_own():

@@ -58,13 +58,10 @@ def test_no_parts_hold_nothing():
 
 def test_a_needle_face_has_no_say_in_what_lies_within():
     box = trimesh.creation.box((0.1, 0.1, 0.1))
-    a, b = (
-        np.argmin(np.abs(box.vertices - [-0.05, -0.05, -0.05]).sum(1)),
-        np.argmin(np.abs(box.vertices - [0.05, -0.05, -0.05]).sum(1)),
-    )
-    # Of no width to speak of, and across the box: its plane would cut the box in half.
+    a, b = (int(np.linalg.norm(box.vertices - [x, -0.05, -0.05], axis=1).argmin()) for x in (-0.05, 0.05))
+    # It has next to no width and looks across the box: its plane would cut the box in half.
     needle = (box.vertices[a] + box.vertices[b]) / 2 + 1e-12 * np.array([0, 1, 1])
-    part = ConvexPart(np.vstack([box.vertices, needle]), np.vstack([box.faces, [a, b, 8], [b, a, 8]]))
+    part = ConvexPart(np.vstack([box.vertices, needle]), np.vstack([box.faces, [[a, b, 8], [b, a, 8]]]))
     inside = np.array([[0.0, 0.049, -0.02], [0.0, -0.02, 0.049], [0.05 - 1e-6, 0.0, 0.0]])
     assert within_parts(inside, [part]).all()
     assert not within_parts(np.add(inside, [0.1, 0, 0]), [part]).any()
