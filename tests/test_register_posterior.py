@@ -125,16 +125,15 @@ def test_a_round_bottle_is_found_round_and_an_oval_one_is_not():
     assert np.median([oval_m(i) for i in seeds[False][:4]]) > 0.0015
 
 
-def test_a_cloud_that_is_cut_off_is_completed_beyond_the_cut():
-    category, hits = "cup", 0
-    for index in range(6):
-        seen = _detection(category, index, protocol="hidden", seed=index)
-        whole = np.ptp(make_shape(category, split_seeds(category, "val")[index]).mesh.vertices, axis=0)
-        fit = fit_primitive(seen, load_primitive(category))
-        found = np.ptp(fit.vertices_world() @ fit.T_world_object[:3, :3], axis=0)
-        partial = float(np.ptp(seen.cloud.points, axis=0).max())
-        hits += bool(abs(found.max() / whole.max() - 1) < 0.25 or found.max() > 1.3 * partial)
-    assert hits >= 4
+@pytest.mark.parametrize("index", [5, 6, 7])
+def test_a_cup_behind_a_board_is_completed_to_its_true_width_beyond_the_edge_of_the_board(index):
+    seen = _detection("cup", index, protocol="hidden", seed=index)
+    whole = np.ptp(make_shape("cup", split_seeds("cup", "val")[index]).mesh.vertices, axis=0)
+    fit = fit_primitive(seen, load_primitive("cup"))
+    R = fit.T_world_object[:3, :3]
+    assert (np.ptp(seen.cloud.points @ R, axis=0) / whole)[:2].min() < 0.8
+    # Where free space is believed beyond the edge, they come out 4 to 9 % narrower.
+    assert np.ptp(fit.vertices_world() @ R, axis=0)[:2] == pytest.approx(whole[:2], rel=0.025)
 
 
 def test_the_edge_of_what_hides_is_found_and_says_on_which_side():

@@ -1,0 +1,336 @@
+"""What is read from one detection: floor, outline, free space, and the edge of what hides a part."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial import KDTree
+from toy_wedge import UP, camera_at, positions, toy_evidence, wedge_primitive, wedge_state
+
+from gfp_grasp.clouds import estimate_normals, thin
+from gfp_grasp.register import gather_evidence, handle_is_seen
+from gfp_grasp.register.occlusion import cut_off
+from gfp_grasp.register.surface import surface_samples
+from gfp_grasp.transforms import apply_T, invert_T, make_T, rotation_between
+from gfp_grasp.types import (
+    HANDLE,
+    DepthImage,
+    Detection,
+    FittedPrimitive,
+    OrientedBox,
+    PointCloud,
+    SupportPlane,
+)
+
+
+def _detection(points, viewpoint=None, **changes) -> Detection:
+    box = OrientedBox(make_T(None, points.mean(axis=0)), np.ptp(points, axis=0))
+    given = {"up": UP, "support": None, "category": "wedge", "scores": {}, "box": box, "sensor_sigma_m": 0.0021}
+    return Detection(cloud=PointCloud(points, viewpoint), **{**given, **changes})
+
+
+def _block(count: int = 3000) -> np.ndarray:
+    """Points in a block that stands along UP, its lowest at a height of 0.2 m."""
+    points = np.random.default_rng(0).uniform((0.5, 0.1, 0.2), (0.58, 0.23, 0.5), (count, 3))
+    points[:10, 2] = 0.2
+    return points @ rotation_between((0, 0, 1), UP).T
+
+
+# ---- thinning
+
+
+def test_of_two_points_as_near_their_mean_the_same_one_is_kept_whatever_the_order():
+    cells = np.stack(np.meshgrid(*[np.arange(12)] * 3), axis=-1).reshape(-1, 3)
+    points = np.concatenate([cells * 0.3 + 0.1, cells * 0.3 + (0.13, 0.14, 0.12)])
+    count = int(len(cells) * 0.95)
+    first = thin(points, count)
+    assert len(first) < len(points)
+    for seed in range(3):
+        order = np.random.default_rng(seed).permutation(len(points))
+        assert np.array_equal(thin(points[order], count), first)
+
+
+def test_each_kept_point_is_the_nearest_to_the_mean_of_its_cell():
+    near, far = np.array([[0.0, 0.0, 0.0], [0.2, 0.0, 0.0], [0.5, 0.0, 0.0]]), np.array([[10.0, 10.0, 0.0]])
+    assert thin(np.concatenate([near, far, near + np.array([0, 10.0, 0])]), 3).tolist() == [
+        [0.2, 0, 0],
+        [0.2, 10, 0],
+        [10, 10, 0],
+    ]
+
+
+# ---- the floor
+
+
+@pytest.mark.parametrize(("elevation_deg", "hidden_m"), [(30.0, 0.002), (90.0, 0.004), (-40.0, 0.0)])
+def test_more_of_a_foot_is_out_of_sight_the_steeper_the_view(elevation_deg, hidden_m):
+    points = _block()
+    sideways = np.cross(UP, (1.0, 0, 0)) / np.linalg.norm(np.cross(UP, (1.0, 0, 0)))
+    angle = np.deg2rad(elevation_deg)
+    viewpoint = points.mean(axis=0) + 1.3 * (np.cos(angle) * sideways + np.sin(angle) * UP)
+    evidence = gather_evidence(_detection(points, viewpoint))
+    assert evidence.floor_m == pytest.approx(0.2 - hidden_m, abs=1e-6)
+    assert gather_evidence(_detection(points)).floor_m == pytest.approx(0.2)
+
+
+def test_a_guessed_floor_is_surer_from_above_than_from_below_and_a_seen_one_alike():
+    guessed = gather_evidence(_detection(_block()))
+    assert not guessed.floor_seen
+    assert guessed.floor_sigma_m == (0.0015, 0.003)
+    seen = gather_evidence(_detection(_block(), support=SupportPlane(UP, 0.17)))
+    assert seen.floor_seen
+    assert (seen.floor_m, seen.floor_sigma_m) == (0.17, (0.002, 0.002))
+
+
+# ---- points and normals
+
+
+def test_evidence_keeps_points_of_the_cloud_with_normals_that_face_the_viewpoint():
+    rng = np.random.default_rng(2)
+    directions = rng.normal(size=(6000, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    centre, viewpoint = np.array([0.4, -0.3, 0.9]), np.array([1.4, 0.3, 1.5])
+    facing = directions @ (viewpoint - centre) > 0.07 * np.linalg.norm(viewpoint - centre)
+    points = centre + 0.06 * directions[facing]
+    evidence = gather_evidence(_detection(points, viewpoint), num_points=150)
+    assert 150 <= len(evidence.points) <= 180
+    assert KDTree(points).query(evidence.points)[0].max() == 0
+    outward = (evidence.points - centre) / 0.06
+    assert np.einsum("ni,ni->n", evidence.normals, outward).min() > 0.98
+    assert evidence.oriented
+    assert evidence.sigma_m == 0.0021
+    blind = gather_evidence(_detection(points), num_points=150)
+    assert not blind.oriented
+    assert blind.silhouette is None
+    assert np.abs(np.einsum("ni,ni->n", blind.normals, outward)).min() > 0.98
+    few = evidence.few(40)
+    assert len(few.points) == 40
+    kept = KDTree(evidence.points).query(few.points)[1]
+    assert (np.diff(kept) > 0).all()
+    assert np.array_equal(few.normals, evidence.normals[kept])
+    assert evidence.few(1000) is evidence
+
+
+def test_normals_of_a_tilted_plane_are_its_own():
+    rng = np.random.default_rng(4)
+    R = rotation_between((0, 0, 1), UP)
+    points = np.column_stack([rng.uniform(-1, 1, (500, 2)), np.zeros(500)]) @ R.T + 3.0
+    for viewpoint, sign in ((points.mean(axis=0) + 2 * UP, 1), (points.mean(axis=0) - 2 * UP, -1)):
+        assert np.allclose(estimate_normals(points, points[:50], viewpoint), sign * UP, atol=1e-9)
+
+
+# ---- the outline
+
+
+def test_a_picture_says_free_only_up_to_what_it_saw_beside_the_object():
+    depth = np.full((40, 50), 1.5)
+    depth[:, 30:] = 0.0  # nothing came back
+    depth[30:, :] = 0.4  # something nearer
+    mask = np.zeros((40, 50), dtype=bool)
+    mask[10:20, 12:22] = True
+    depth[mask] = 0.9
+    viewpoint = np.array([0.8, -0.4, 1.0])
+    points = _block()
+    T = camera_at(viewpoint, points.mean(axis=0))
+    K = np.array([[60.0, 0, 24], [0, 70.0, 19], [0, 0, 1]])
+    detection = _detection(points, viewpoint, view=DepthImage(depth, K, T), mask=mask)
+    silhouette = gather_evidence(detection).silhouette
+    assert silhouette is not None
+    assert silhouette.certain
+    assert not silhouette.free_depth_m[mask].any()
+
+    def out(row, column, z) -> bool:
+        point = np.array([[(column - 24) * z / 60, (row - 19) * z / 70, z]])
+        return len(silhouette.trespass(apply_T(T, point))[0]) == 1
+
+    assert not out(15, 15, 0.5)
+    assert out(15, 25, 1.4)
+    assert not out(15, 25, 1.6)
+    assert not out(15, 35, 0.5)
+    assert out(35, 15, 0.3)
+    assert not out(35, 15, 0.5)
+    # The way back leads to the nearest pixel of the object: eight columns to the left and five rows up.
+    index, back = silhouette.trespass(apply_T(T, np.array([[(29 - 24) / 60.0, (24 - 19) / 70.0, 1.0]])))
+    assert index.tolist() == [0]
+    assert back[0] @ T[:3, :3] == pytest.approx([-8 / 60, -5 / 70, 0])
+
+
+def test_the_outline_of_a_sparse_cloud_has_no_holes_and_ends_where_the_cloud_ends():
+    rng = np.random.default_rng(1)
+    flat = (np.indices((30, 30)).reshape(2, -1).T + rng.uniform(0, 1, (900, 2))) / 15 - 1
+    rim = np.arange(200) / 200 * 2 * np.pi
+    flat = 0.06 * np.concatenate([flat[np.hypot(*flat.T) < 1], np.column_stack([np.cos(rim), np.sin(rim)])])
+    viewpoint, centre = np.array([0.9, -0.5, 1.1]), np.array([0.1, 0.2, 0.3])
+    T = camera_at(viewpoint, centre)
+    distance = float(np.linalg.norm(viewpoint - centre))
+    points = apply_T(T, np.column_stack([flat, np.full(len(flat), distance)]))
+    silhouette = gather_evidence(_detection(points, viewpoint)).silhouette
+    assert silhouette is not None
+    assert not silhouette.certain
+    radius, angle = np.meshgrid(np.linspace(0, 0.057, 40), np.linspace(0, 2 * np.pi, 60))
+
+    def on_disc(radius, z=distance):
+        return apply_T(
+            T,
+            np.column_stack(
+                [(radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel(), np.full(radius.size, z)]
+            ),
+        )
+
+    assert len(silhouette.trespass(on_disc(radius))[0]) == 0
+    around = on_disc(np.full_like(radius, 0.075))
+    index, back = silhouette.trespass(around)
+    assert len(index) == len(around)
+    # At any depth: a cloud does not say how far the sensor sees beside it.
+    assert len(silhouette.trespass(on_disc(np.full_like(radius, 0.075 * 3), 3 * distance))[0]) == len(around)
+    inward = (centre - around[index]) / np.linalg.norm(centre - around[index], axis=1, keepdims=True)
+    assert np.linalg.norm(back, axis=1) == pytest.approx(0.015, abs=0.006)
+    assert np.einsum("ni,ni->n", inward, back).min() > 0.008
+
+
+def test_pixels_are_where_the_camera_sees_points():
+    viewpoint, points = np.array([0.8, -0.4, 1.0]), _block()
+    T = camera_at(viewpoint, points.mean(axis=0))
+    K = np.array([[60.0, 0, 24], [0, 70.0, 19], [0, 0, 1]])
+    mask = np.zeros((40, 50), dtype=bool)
+    mask[5, 6] = True
+    detection = _detection(points, viewpoint, view=DepthImage(np.ones((40, 50)), K, T), mask=mask)
+    silhouette = gather_evidence(detection).silhouette
+    assert silhouette is not None
+    seen = apply_T(invert_T(T), points)
+    column, row, z = silhouette.pixels(points)
+    assert z == pytest.approx(seen[:, 2])
+    assert column == pytest.approx(60 * seen[:, 0] / z + 24)
+    assert row == pytest.approx(70 * seen[:, 1] / z + 19)
+
+
+# ---- something hides a part
+
+
+def _pillar(side: np.ndarray, *, above_m: float | None = None, below_m: float | None = None):
+    """Evidence of a round pillar along UP, seen from above; its part beyond a plane through the viewpoint is hidden.
+
+    Returns:
+        The evidence, the outward normal of the plane, and the viewpoint.
+    """
+    R = np.column_stack([side, np.cross(UP, side), UP])
+    rng = np.random.default_rng(6)
+    angle, height = rng.uniform(-np.pi / 2, np.pi / 2, 20000), rng.uniform(0, 0.3, 20000)
+    local = np.column_stack([0.05 * np.cos(angle), 0.05 * np.sin(angle), height])
+    eye = np.array([1.2, 0.0, 0.6])
+    normal = np.array([0.0, 0.25, 1.0]) / np.hypot(0.25, 1.0)
+    if above_m is not None:
+        normal = np.array([(above_m - 0.6) / 1.15, 0.25, 1.0])
+    if below_m is not None:
+        normal = np.array([-(below_m - 0.6) / 1.15, 0.25, -1.0])
+    normal /= np.linalg.norm(normal)
+    shift = np.array([0.3, 0.4, 0.1])
+    if above_m is not None or below_m is not None:
+        local = local[(local - eye) @ normal < 0]
+    evidence = gather_evidence(_detection(local @ R.T + shift, R @ eye + shift))
+    return evidence, R @ normal, R @ eye + shift
+
+
+SIDE = np.cross(UP, (0.2, 1.0, 0.1)) / np.linalg.norm(np.cross(UP, (0.2, 1.0, 0.1)))
+
+
+def test_the_straight_edge_of_what_hides_the_top_is_found_with_its_side():
+    evidence, normal, viewpoint = _pillar(SIDE, above_m=0.2)
+    hidden = cut_off(evidence)
+    assert hidden.cut is not None
+    assert hidden.cut @ normal > np.cos(np.deg2rad(3))
+    assert hidden.floor_sigma_m == evidence.floor_sigma_m  # the foot is seen
+    axis = evidence.points.mean(axis=0)
+    beyond = axis + UP * (0.22 - (axis - np.array([0.3, 0.4, 0.1])) @ UP)
+    beside = axis + 0.09 * np.cross(UP, SIDE)
+    assert evidence.silhouette.trespass(np.array([beyond, beside]))[0].tolist() == [0, 1]
+    assert hidden.silhouette.trespass(np.array([beyond, beside]))[0].tolist() == [1]
+    assert hidden.viewpoint == pytest.approx(viewpoint)
+
+
+def test_without_a_straight_edge_nothing_is_known_beyond_what_faces_the_viewpoint():
+    evidence, _, _ = _pillar(SIDE, above_m=0.2)
+    hidden = cut_off(evidence, straight=False)
+    assert hidden.cut is None
+    axis = evidence.points.mean(axis=0)
+    beyond, beside = axis + 0.14 * UP, axis + 0.09 * np.cross(UP, SIDE)
+    assert hidden.silhouette.trespass(np.array([beyond, beside]))[0].tolist() == [1]
+    assert hidden.floor_sigma_m == evidence.floor_sigma_m
+
+
+def test_where_the_foot_is_hidden_a_guessed_floor_may_be_far_below_but_a_seen_one_stays():
+    evidence, normal, _ = _pillar(SIDE, below_m=0.1)
+    hidden = cut_off(evidence)
+    assert hidden.cut is not None
+    assert hidden.cut @ normal > np.cos(np.deg2rad(3))
+    assert hidden.floor_sigma_m == (evidence.floor_sigma_m[0], np.inf)
+    seen = replace(evidence, floor_seen=True)
+    assert cut_off(seen).floor_sigma_m == evidence.floor_sigma_m
+
+
+def test_a_ball_has_no_straight_edge():
+    rng = np.random.default_rng(6)
+    directions = rng.normal(size=(20000, 3))
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    viewpoint = np.array([1.2, 0.3, 0.7])
+    points = 0.05 * directions[directions @ viewpoint > 0.06]
+    evidence = gather_evidence(_detection(points, viewpoint))
+    assert cut_off(evidence).cut is None
+
+
+# ---- a handle
+
+
+def test_a_handle_is_seen_where_enough_points_lie_on_it_and_off_the_body():
+    primitive = wedge_primitive()
+    x = primitive.vertices[:, 0]
+    primitive = replace(primitive, regions=np.where(x > 0.06, HANDLE, 0).astype(np.uint8))
+    state = wedge_state()
+    fit = FittedPrimitive(
+        primitive, make_T(state.R, state.t), np.exp(state.log_scale), state.coefficients, residual_m=0.001
+    )
+    samples = surface_samples(primitive)
+    world = state.world(samples.local(state.coefficients))
+    held = (primitive.regions[primitive.faces[samples.face]] == HANDLE).all(axis=1)
+    off_body = np.flatnonzero(held & (KDTree(world[~held]).query(world)[0] > 0.012))
+    near_body = np.flatnonzero(held & (KDTree(world[~held]).query(world)[0] < 0.004))
+    body = world[~held][:200]
+    normal = UP
+
+    def seen(points) -> bool:
+        return handle_is_seen(fit, toy_evidence(np.concatenate([body, points])))
+
+    assert seen(world[off_body[:6]] + 0.006 * normal)
+    assert not seen(world[off_body[:5]])
+    assert not seen(world[near_body[:50]])
+    assert not seen(world[off_body[:50]] + 0.05 * normal)
+    for regions in (np.zeros(len(x)), np.full(len(x), HANDLE)):
+        bare = replace(fit, primitive=replace(primitive, regions=regions.astype(np.uint8)))
+        assert not handle_is_seen(bare, toy_evidence(world))
+
+
+# ---- samples of the surface
+
+
+def test_samples_lie_on_the_surface_in_proportion_to_its_area_and_follow_the_modes():
+    primitive = wedge_primitive()
+    samples = surface_samples(primitive, 400)
+    corners = primitive.vertices[primitive.faces]
+    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    for side in range(3):
+        for end in (0, 1):
+            part = np.abs(corners[..., side] - np.sort(corners[..., side].ravel())[-end]).max(axis=1) < 1e-9
+            share = area[part].sum() / area.sum()
+            assert (part[samples.face]).mean() == pytest.approx(share, abs=0.02)
+    assert samples.weights.min() >= 0
+    assert samples.weights.sum(axis=1) == pytest.approx(np.ones(400))
+    coefficients = np.array([1.0, -2.0, 0.5])
+    moved = primitive.shape(coefficients, np.ones(3))[primitive.faces[samples.face]]
+    expected = np.einsum("mc,mcd->md", samples.weights, moved)
+    assert samples.local(coefficients) == pytest.approx(expected)
+    state = wedge_state()
+    assert positions(state, primitive) == pytest.approx(
+        apply_T(
+            make_T(state.R, state.t), np.exp(state.log_scale) * surface_samples(primitive, 60).local(state.coefficients)
+        )
+    )

@@ -1,0 +1,485 @@
+"""Where the fit starts, which starts go on, and what is chosen in the end."""
+
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
+from toy_primitive import toy_cup_primitive
+from toy_wedge import UP, face_normals, positions, toy_evidence, wedge_primitive, wedge_state
+
+from gfp_grasp.camera import cast_rays
+from gfp_grasp.errors import FitDiverged
+from gfp_grasp.meshes import sample_surface
+from gfp_grasp.register import FitConfig, ModesConfig, fit_best, icp_config, pcrnet, pcrnet_config, race
+from gfp_grasp.register import fit as fit_module
+from gfp_grasp.register.race import Race, best_of, blocking_cost, total_cost
+from gfp_grasp.register.starts import starts
+from gfp_grasp.transforms import rotation_about, rotation_between
+from gfp_grasp.types import Symmetry
+
+QUICK = ModesConfig(steps=(0.02, 0.015, 0.01, 0.008), num_points=100, num_samples=300)
+LIGHT = FitConfig(
+    quick=QUICK,
+    middle=replace(QUICK, steps=(0.008, 0.006, 0.005)),
+    thorough=replace(QUICK, steps=(0.004, 0.003), num_points=200),
+    keep=2,
+    roundness=False,
+)
+
+
+def _surface(state, primitive, count=4000):
+    """Points (n, 3) of a posed primitive's whole surface, and their normals."""
+    return sample_surface(_mesh(state, primitive), count, np.random.default_rng(1))[:2]
+
+
+def _mesh(state, primitive):
+    import trimesh
+
+    vertices = state.world(primitive.shape(state.coefficients, np.ones(3)))
+    return trimesh.Trimesh(vertices, primitive.faces, process=False)
+
+
+def _wedge_standing(R: np.ndarray, **changes):
+    return wedge_state(R=R, axis_world=R[:, 2], log_scale=np.zeros(3), coefficients=np.zeros(3), **changes)
+
+
+def _evidence_of(state, primitive, viewpoint, **changes):
+    points, normals = _surface(state, primitive)
+    lowest = float((points @ UP).min())
+    return toy_evidence(points, normals, viewpoint=viewpoint, **{"floor_m": lowest, **changes})
+
+
+# ---- starts
+
+
+@pytest.mark.parametrize("hypothesis", ["upright", "upside_down"])
+def test_a_standing_start_is_the_truth_where_the_whole_surface_is_seen(hypothesis):
+    axis = UP if hypothesis == "upright" else -UP
+    R = rotation_between((0, 0, 1), axis) @ rotation_about((0, 0, 1), 0.8)
+    truth, primitive = _wedge_standing(R), wedge_primitive()
+    evidence = _evidence_of(truth, primitive, truth.t + 2 * R[:, 0] + UP)
+    found = starts(primitive, evidence, (hypothesis,))
+    assert len(found) == 8
+    best = min(found, key=lambda state: np.abs(state.R - R).max())
+    # The direction to the viewer is taken from the middle of the points, a few centimetres off the axis.
+    assert np.abs(best.R - R).max() < 0.03
+    assert np.abs(best.t - truth.t).max() < 0.003
+    assert np.abs(best.log_scale).max() < 0.06
+    assert not best.coefficients.any()
+    turns = sorted(Rotation.from_matrix(best.R.T @ state.R).as_rotvec()[2] for state in found)
+    assert np.diff(turns) == pytest.approx(np.pi / 4)
+    for state in found:
+        assert state.R[:, 2] == pytest.approx(axis)
+        assert state.axis_world == pytest.approx(axis)
+        assert state.axis_sigma_rad == pytest.approx(np.deg2rad(1))
+        assert state.hypothesis == hypothesis
+
+
+def test_a_standing_start_reaches_down_to_the_floor():
+    R = rotation_between((0, 0, 1), UP)
+    truth, primitive = _wedge_standing(R), wedge_primitive()
+    evidence = _evidence_of(truth, primitive, truth.t + 2 * R[:, 0])
+    lower = replace(evidence, floor_m=evidence.floor_m - 0.01)
+    for hypothesis in ("upright", "upside_down"):
+        for near, far in zip(*(starts(primitive, e, (hypothesis,)) for e in (evidence, lower)), strict=True):
+            ends = [np.quantile(_mesh(state, primitive).vertices @ UP, (0, 1)) for state in (near, far)]
+            assert ends[0][0] == pytest.approx(evidence.floor_m, abs=0.001)
+            assert ends[1][0] == pytest.approx(evidence.floor_m - 0.01, abs=0.001)
+            assert ends[0][1] == pytest.approx(ends[1][1], abs=1e-6)
+
+
+def test_the_near_side_of_a_start_is_the_near_side_of_the_points():
+    R = rotation_between((0, 0, 1), UP) @ rotation_about((0, 0, 1), 0.8)
+    truth, primitive = _wedge_standing(R), wedge_primitive()
+    whole = _evidence_of(truth, primitive, truth.t + 2 * R[:, 0])
+    half = whole.points @ R[:, 0] > np.median(whole.points @ R[:, 0])
+    evidence = replace(whole, points=whole.points[half], normals=whole.normals[half])
+    bound = 2 * np.sqrt(np.diag(primitive.log_scale_cov) + 1e-4)
+    found = [s for s in starts(primitive, evidence, ("upright",)) if (np.abs(s.log_scale) < bound - 1e-9).all()]
+    assert len(found) >= 2
+    for state in found:
+        nearest = float((_mesh(state, primitive).vertices @ R[:, 0]).max())
+        assert nearest == pytest.approx(float((whole.points @ R[:, 0]).max()), abs=0.004)
+
+
+def test_a_lying_start_is_the_truth_of_a_long_body():
+    # The wedge's z is made its longest side, and it lies with x up.
+    flat = np.cross(UP, (0.4, 1.0, 0.2))
+    axis = flat / np.linalg.norm(flat)
+    R = np.column_stack([UP, np.cross(axis, UP), axis])
+    primitive = wedge_primitive()
+    longer = replace(primitive, vertices=primitive.vertices * (0.5, 0.5, 4.0), modes=primitive.modes * 0.1)
+    truth = replace(_wedge_standing(R))
+    evidence = _evidence_of(truth, longer, truth.t + 2 * np.cross(axis, UP) + UP)
+    found = starts(longer, evidence, ("lying",))
+    assert len(found) == 4
+    best = min(found, key=lambda state: np.abs(state.R - R).max())
+    assert np.abs(best.R - R).max() < 0.1
+    assert np.abs(best.t - truth.t).max() < 0.02
+    assert np.abs(best.log_scale).max() < 0.1
+    heights = _mesh(best, longer).vertices @ UP
+    assert heights.min() == pytest.approx(evidence.floor_m, abs=1e-6)
+    assert heights.max() == pytest.approx(float((evidence.points @ UP).max()), abs=0.004)
+    assert best.axis_sigma_rad == pytest.approx(np.deg2rad(15))
+    directions = np.array([state.R[:, 2] for state in found])
+    assert directions @ UP == pytest.approx(np.zeros(4), abs=1e-12)
+    assert directions.sum(axis=0) == pytest.approx(np.zeros(3), abs=1e-12)
+    assert np.sort(np.abs(directions @ axis)) == pytest.approx([0, 0, 1, 1], abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("order", "turns_deg"),
+    [(np.inf, [0, 45]), (2, [0, 60, 120]), (4, [0, 30, 60]), (1, [0, 45, 90, 135, 180, 225, 270, 315])],
+)
+def test_starts_are_turned_by_what_the_symmetry_does_not_hide(order, turns_deg):
+    primitive = replace(wedge_primitive(), symmetry=Symmetry(np.array([0.0, 0, 1]), order))
+    truth = _wedge_standing(rotation_between((0, 0, 1), UP))
+    evidence = _evidence_of(truth, primitive, truth.t + np.array([2.0, 0.3, 1.0]))
+    found = starts(primitive, evidence, ("upright",))
+    turned = [Rotation.from_matrix(found[0].R.T @ state.R).as_rotvec(degrees=True)[2] % 360 for state in found]
+    assert turned == pytest.approx(turns_deg, abs=1e-6)
+
+
+def test_a_start_is_no_larger_or_smaller_than_twice_the_spread_of_the_class():
+    primitive = wedge_primitive()
+    truth = _wedge_standing(rotation_between((0, 0, 1), UP))
+    huge = replace(truth, log_scale=np.full(3, 2.0))
+    bound = 2 * np.sqrt(np.diag(primitive.log_scale_cov) + 1e-4)
+    for state, sign in ((huge, 1), (replace(truth, log_scale=np.full(3, -2.0)), -1)):
+        for start in starts(primitive, _evidence_of(state, primitive, truth.t + 9.0), ("upright",)):
+            assert start.log_scale == pytest.approx(sign * bound)
+
+
+def test_seen_from_straight_above_the_shortest_side_of_the_points_faces_the_viewer():
+    R = rotation_between((0, 0, 1), UP) @ rotation_about((0, 0, 1), 0.8)
+    primitive = wedge_primitive()
+    truth = _wedge_standing(R)
+    points, normals = _surface(truth, primitive)
+    for viewpoint in (None, points.mean(axis=0) + 2.0 * UP):
+        state = starts(primitive, toy_evidence(points, normals, viewpoint=viewpoint), ("upright",))[0]
+        assert state.R[:, 2] == pytest.approx(UP)
+        assert abs(state.R[:, 0] @ R[:, 1]) > 0.95  # the wedge is 12 cm along x and 8 along y
+
+
+@pytest.mark.parametrize(
+    ("up", "across", "height", "width"),
+    [
+        (0.1, 0.2, (0.0, 1.0), (-0.5, 0.5)),
+        (0.9, 0.0, (0.0, 2.0), (-0.5, 0.5)),  # as high as it is wide, by the primitive's proportions
+        (-0.9, 0.0, (-1.0, 1.0), (-0.5, 0.5)),
+        (0.0, 0.6, (0.0, 1.0), (-0.5, 0.75)),
+        (0.0, -0.6, (0.0, 1.0), (-0.75, 0.5)),
+        (0.6, -0.6, (0.0, 2.0), (-2.0, 0.5)),  # nothing but the primitive's own size is known
+    ],
+)
+def test_an_end_that_is_hidden_goes_on_to_the_proportions_of_the_primitive(up, across, height, width):
+    own_height, own_width = 2.0, 2.5 if up and across and abs(up) > 0.5 and abs(across) > 0.5 else 1.0
+    if abs(across) > 0.5 and abs(up) < 0.5:
+        own_height, own_width = 0.8, 1.0
+    from gfp_grasp.register.starts import _as_it_goes_on
+
+    found = _as_it_goes_on((0.0, 1.0), own_height, up, (-0.5, 0.5), own_width, across)
+    assert found[0] == pytest.approx(height)
+    assert found[1] == pytest.approx(width)
+
+
+def test_a_start_of_what_is_cut_off_goes_on_beyond_the_cut_and_only_there():
+    R = rotation_between((0, 0, 1), UP)
+    truth, primitive = _wedge_standing(R), wedge_primitive()
+    viewpoint = truth.t + 2 * R[:, 0]
+    whole = _evidence_of(truth, primitive, viewpoint)
+    aside = whole.points @ R[:, 1]
+    for sign in (1, -1):
+        seen = sign * aside < np.median(sign * aside)
+        half = replace(whole, points=whole.points[seen], normals=whole.normals[seen])
+        tilted = sign * (R[:, 1] + 0.1 * UP)
+        cut = replace(half, cut=tilted / np.linalg.norm(tilted))
+        state = starts(primitive, cut, ("upright",))[0]
+        found = np.quantile(_mesh(state, primitive).vertices @ R[:, 1], (0, 1))
+        assert found == pytest.approx((aside.min(), aside.max()), abs=0.012)
+
+
+# ---- what a state costs beyond the posterior
+
+
+def _off_points(state, viewpoint, depths_m):
+    """Points on lines of sight, each by its depth behind where the line first meets the surface."""
+    rng = np.random.default_rng(2)
+    mesh = _mesh(state, wedge_primitive())
+    rays = mesh.vertices.mean(axis=0) + 0.01 * rng.normal(size=(len(depths_m), 3)) - viewpoint
+    rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+    distance = cast_rays([(mesh.vertices, mesh.faces)], viewpoint, rays)[0]
+    return viewpoint + (distance + depths_m)[:, None] * rays
+
+
+def test_a_surface_pays_for_each_point_that_it_hides():
+    state, config = wedge_state(), ModesConfig(steps=(0.01, 0.005), misfit_m=0.002, effective_points=70)
+    viewpoint = state.t + np.array([0.5, -0.4, 0.6])
+    depths = np.repeat([0.0, -0.05, 0.008, 0.02], [10, 10, 10, 20])
+    evidence = toy_evidence(_off_points(state, viewpoint, depths), viewpoint=viewpoint)
+    cost = blocking_cost(state, wedge_primitive(), evidence, config)
+    assert cost == pytest.approx(0.5 * 70 * 0.4 * 0.005**2 / (0.0013**2 + 0.002**2), rel=1e-9)
+    assert blocking_cost(state, wedge_primitive(), replace(evidence, viewpoint=None), config) == 0
+
+
+@pytest.mark.parametrize(("beyond", "cost"), [(0.0, 30.0), (0.075, 15.0), (0.15, 0.0), (0.6, 0.0)])
+def test_a_surface_that_ends_at_the_edge_of_what_hides_it_pays(beyond, cost):
+    state, primitive = wedge_state(), wedge_primitive()
+    vertices, cut = _mesh(state, primitive).vertices, np.array([0.6, -0.64, 0.48])
+    along = np.sort(vertices @ cut)
+    end = along[-1] + 0.001 if beyond == 0 else np.quantile(along, 1 - beyond)
+    across = np.cross(cut, UP)
+    viewpoint = end * cut + 3 * across
+    evidence = toy_evidence(vertices[:20], viewpoint=viewpoint, cut=cut)
+    assert race._ending_cost(state, primitive, evidence) == pytest.approx(cost, abs=0.6)
+    assert race._ending_cost(state, primitive, replace(evidence, cut=None)) == 0
+
+
+def test_hypotheses_pay_for_how_rare_they_are():
+    costs = [total_cost(wedge_state(cost=1.5, hypothesis=name)) for name in ("upright", "upside_down", "lying")]
+    assert costs == [1.5, 5.5, 7.5]
+
+
+# ---- which starts go on
+
+
+def test_leaders_are_no_place_twice_and_hold_the_best_of_every_hypothesis():
+    base = wedge_state(cost=1.0)
+    here = replace(base, cost=2.0, t=base.t + np.array([0.002, 0, 0]))
+    there = replace(base, cost=3.0, t=base.t + np.array([0.004, 0, 0]))
+    turned = replace(base, cost=4.0, R=base.R @ rotation_about((0, 0, 1), 0.2))
+    flipped = replace(base, cost=5.0, hypothesis="upside_down")
+    worse = replace(base, cost=6.0, hypothesis="upside_down", t=base.t + 0.1)
+    lying = replace(base, cost=7.0, hypothesis="lying")
+    states = [base, here, there, turned, flipped, worse, lying]
+    for keep, costs in ((1, [1, 5, 7]), (2, [1, 3, 5, 7]), (3, [1, 3, 4, 5, 7]), (9, [1, 3, 4, 5, 6, 7])):
+        assert sorted(state.cost for state in race._leaders(states, keep)) == costs
+
+
+def test_a_rival_goes_on_while_it_is_no_farther_behind_than_it_may_be():
+    races = [
+        Race(wedge_primitive(), odds, [wedge_state(cost=cost, hypothesis=name)])
+        for cost, odds, name in (
+            (9.0, 0.0, "upright"),
+            (2.0, 1.0, "upside_down"),
+            (7.0, 10.0, "upright"),
+            (11.0, 6.1, "upright"),
+        )
+    ]
+    assert [r.cost for r in races] == pytest.approx([9.0, 7.0, 17.0, 17.1])
+    assert race._hopeful(races, 10.0) == races[:3]
+
+
+def _half_seen_wedge():
+    R = rotation_between((0, 0, 1), UP) @ rotation_about((0, 0, 1), 0.8)
+    truth = _wedge_standing(R)
+    points, normals = _surface(truth, wedge_primitive(), 1500)
+    viewpoint = truth.t + 2 * R[:, 0] + 0.7 * R[:, 1] + UP
+    seen = np.einsum("ni,ni->n", normals, viewpoint - points) > 0
+    lowest = float((points @ UP).min())
+    return truth, toy_evidence(points[seen], normals[seen], viewpoint=viewpoint, floor_m=lowest, sigma_m=0.001)
+
+
+def test_the_truth_is_found_among_the_starts_of_a_wedge():
+    truth, evidence = _half_seen_wedge()
+    primitive = wedge_primitive()
+    fit = fit_best(evidence, [(primitive, 0.0)], config=LIGHT)
+    assert fit.hypothesis == "upright"
+    expected = _mesh(truth, primitive).vertices
+    assert np.linalg.norm(fit.vertices_world() - expected, axis=1).mean() < 0.006
+    assert fit.residual_m < 0.001
+
+
+@pytest.mark.parametrize("better", [0, 1])
+def test_the_better_of_two_rivals_is_chosen_whichever_comes_first(better):
+    _, evidence = _half_seen_wedge()
+    wedge, cup = wedge_primitive(), toy_cup_primitive()
+    config = replace(LIGHT, hypotheses=("upright",), rival_behind=1e9, rival_raced_behind=1e9)
+    rivals = [(wedge, 0.0), (cup, 0.0)] if better == 0 else [(cup, 0.0), (wedge, 0.0)]
+    assert fit_best(evidence, rivals, config=config).primitive is wedge
+    # Odds decide between equals; the cost of the fit is that of the points and the class alone.
+    twin = replace(wedge, category="twin", spec=None)
+    likely, rare = (wedge, 1.0), (twin, 3.0)
+    fit = fit_best(evidence, [likely, rare] if better == 0 else [rare, likely], config=config)
+    assert fit.primitive is wedge
+    assert fit.cost == pytest.approx(fit_best(evidence, [(wedge, 0.0)], config=config).cost)
+
+
+def test_the_margin_is_the_cost_of_the_best_other_hypothesis_over_the_best():
+    _, evidence = _half_seen_wedge()
+    found = best_of(evidence, [(wedge_primitive(), 0.0)], LIGHT)
+    assert {state.hypothesis for state in found.states} == {"upright", "upside_down", "lying"}
+    assert found.best.hypothesis == "upright"
+    by_cost = sorted(found.states, key=total_cost)
+    other = next(state for state in by_cost if state.hypothesis != "upright")
+    fit = fit_best(evidence, [(wedge_primitive(), 0.0)], config=LIGHT)
+    assert fit.margin == pytest.approx(total_cost(other) / total_cost(found.best))
+    assert fit.margin > 1.5
+    assert fit.cost == pytest.approx(total_cost(found.best))
+    alone = fit_best(evidence, [(wedge_primitive(), 0.0)], config=replace(LIGHT, hypotheses=("upright",)))
+    assert alone.margin == float("inf")
+
+
+def test_starts_that_fall_behind_get_no_more_steps_but_are_kept(monkeypatch):
+    _, evidence = _half_seen_wedge()
+    counts = []
+    refine = race.refine
+
+    def counting(states, primitive, evidence, config):
+        counts.append((len(config.steps), len(states)))
+        return refine(states, primitive, evidence, config)
+
+    monkeypatch.setattr(race, "refine", counting)
+    found = best_of(evidence, [(wedge_primitive(), 0.0)], replace(LIGHT, survivors=0.25, behind=0.0))
+    # Two of the quick steps for 8 + 8 + 4 starts; the other two for a quarter of them, with one of each hypothesis.
+    (head, tail, middle, thorough) = counts
+    assert head == (2, 20)
+    assert tail[0] == 2
+    assert 5 <= tail[1] <= 7
+    assert middle[0] == 3
+    assert 1 <= middle[1] <= 4
+    assert thorough == (2, 1)
+    assert len(found.states) >= 3
+    counts.clear()
+    everything = replace(LIGHT, survivors=1.0, behind=1e9, hypotheses=("upright",), keep=8)
+    monkeypatch.setattr(race, "_HOPELESS", 1e9)
+    best_of(evidence, [(wedge_primitive(), 0.0)], everything)
+    assert counts[0] == (2, 8)
+    assert counts[2][1] == counts[3][1] > 1
+
+
+def test_a_size_given_is_that_of_every_start_and_no_refinement_leaves_it():
+    _, evidence = _half_seen_wedge()
+    size = (1.1, 0.9, 1.2)
+    for config in (icp_config(size=size), replace(LIGHT, size=size, refine=False)):
+        fit = fit_best(evidence, [(wedge_primitive(), 0.0)], config=replace(config, hypotheses=("upright",)))
+        assert fit.scale == pytest.approx(size)
+        assert not fit.coefficients.any()
+    assert pcrnet_config(size=size).start == "pcrnet"
+    assert not pcrnet_config().refine
+    assert icp_config().refine
+
+
+def test_points_that_no_start_explains_diverge_by_the_name_of_the_class_and_the_miss():
+    _, evidence = _half_seen_wedge()
+    config = replace(LIGHT, max_residual_m=1e-6, hypotheses=("upright",))
+    with pytest.raises(FitDiverged, match=r"wedge: .* \d\.\d mm, 0 mm is allowed"):
+        fit_best(evidence, [(wedge_primitive(), 0.0)], config=config)
+
+
+# ---- what is asked in the end
+
+
+def test_only_a_guessed_outline_is_taken_for_cut_off(monkeypatch):
+    calls = []
+    _, evidence = _half_seen_wedge()
+    from gfp_grasp.register.evidence import _silhouette_of_points
+
+    silhouette = _silhouette_of_points(evidence.points, evidence.viewpoint, UP)
+    guessed = replace(evidence, silhouette=silhouette)
+    monkeypatch.setattr(fit_module, "cut_off", lambda seen, *, straight: calls.append(straight) or seen)
+    config = replace(LIGHT, hypotheses=("upright",))
+    for cost, seen, expected in (
+        (8.1, guessed, [True, False]),
+        (7.9, guessed, []),
+        (99.0, replace(guessed, silhouette=replace(silhouette, certain=True)), []),
+        (99.0, replace(guessed, silhouette=None), []),
+    ):
+        calls.clear()
+        monkeypatch.setattr(fit_module, "free_space_cost", lambda *_, cost=cost: cost)
+        fit_best(seen, [(wedge_primitive(), 0.0)], config=config)
+        assert calls == expected
+    costs = iter([9.0, 7.0])
+    monkeypatch.setattr(fit_module, "free_space_cost", lambda *_: next(costs))
+    calls.clear()
+    fit_best(guessed, [(wedge_primitive(), 0.0)], config=config)
+    assert calls == [True]
+
+
+@pytest.mark.parametrize(
+    ("share", "round_cost", "is_round"), [(0.5, 12.9, True), (0.5, 13.1, False), (0.9, 15.0, True), (0.9, 15.3, False)]
+)
+def test_a_round_body_is_believed_by_the_share_of_the_class_that_is_round(monkeypatch, share, round_cost, is_round):
+    _, evidence = _half_seen_wedge()
+    state = wedge_state(cost=10.0)
+    rounded = wedge_state(cost=round_cost - 2.0, residual_m=1.0)
+    monkeypatch.setattr(fit_module, "refine", lambda *_: [rounded])
+    monkeypatch.setattr(fit_module, "blocking_cost", lambda *_: 2.0)
+    monkeypatch.setattr(fit_module, "round_share", lambda *_: share)
+    found = fit_module._rounder(state, wedge_primitive(), evidence, FitConfig())
+    assert found.cost == pytest.approx(round_cost if is_round else 10.0)
+
+
+# ---- PCRNet
+
+
+def test_the_network_moves_starts_in_its_own_upright_unit_frame(monkeypatch):
+    _, evidence = _half_seen_wedge()
+    turn, shift, seen = Rotation.from_rotvec([0.1, -0.2, 0.3]).as_matrix(), np.array([0.2, -0.1, 0.05]), []
+
+    def network(template, cloud):
+        seen.extend([template.numpy(), cloud.numpy()])
+        size = (len(template), 1, 1)
+        return torch.tensor(turn, dtype=torch.float32).repeat(size), torch.tensor(shift).float().repeat(size[:2])
+
+    monkeypatch.setattr(pcrnet, "load_pcrnet", lambda: network)
+    states = starts(wedge_primitive(), evidence, ("upright",))[:2]
+    moved = pcrnet.correct_starts(states, wedge_primitive(), evidence)
+    template, cloud = seen
+    assert template.shape == cloud.shape == (2, 128, 3)
+    to_level = rotation_between(UP, (0, 0, 1))
+    for i, (before, after) in enumerate(zip(states, moved, strict=True)):
+        assert template[i].mean(axis=0) == pytest.approx(np.zeros(3), abs=1e-5)
+        assert (template[i] ** 2).sum(axis=1).mean() == pytest.approx(1, rel=1e-5)
+        _, _, centre, radius = pcrnet.network_input(before, wedge_primitive(), evidence.points)
+        # The cloud is there in the units of the template, and points of it are points that were seen.
+        back = centre + radius * cloud[i].astype(np.float64) @ to_level
+        assert KDTree(evidence.points).query(back)[0].max() < 1e-6
+        # What the network does to the template there, it does to the start here.
+        vertices = wedge_primitive().vertices[::50]
+        there = ((before.world(vertices) - centre) / radius) @ to_level.T
+        expected = centre + radius * (there @ turn.T + shift) @ to_level
+        assert after.world(vertices) == pytest.approx(expected, abs=1e-5)
+        assert np.array_equal(after.log_scale, before.log_scale)
+    assert pcrnet.correct_starts([], wedge_primitive(), evidence) == []
+
+
+def test_poses_of_all_iterations_are_put_together():
+    network = pcrnet.PCRNet()
+    pose = np.array([0.9, 0.1, -0.2, 0.3, 0.05, -0.04, 0.1])
+    seen = []
+
+    class Encoder(torch.nn.Module):
+        def forward(self, points):
+            seen.append(points.detach().numpy())
+            return torch.zeros(1, points.shape[1], 1024)
+
+    class Decoder(torch.nn.Module):
+        def forward(self, code):
+            return torch.tensor(pose, dtype=torch.float32)[None]
+
+    network.encode, network.decode = Encoder(), Decoder()  # type: ignore[assignment]
+    template = torch.tensor(np.random.default_rng(0).normal(size=(1, 7, 3)), dtype=torch.float32)
+    R, t = network(template, template + 1, iterations=3)
+    turn = Rotation.from_quat(pose[:4], scalar_first=True).as_matrix()
+    assert R[0].numpy() == pytest.approx(np.linalg.matrix_power(turn, 3), abs=1e-5)
+    assert t[0].numpy() == pytest.approx(pose[4:] + turn @ pose[4:] + turn @ turn @ pose[4:], abs=1e-5)
+    cloud, *moved = seen
+    assert np.allclose(cloud, template.numpy() + 1)
+    assert len(moved) == 3
+    for before, after in pairwise(moved):
+        assert after[0] == pytest.approx(before[0] @ turn.T + pose[4:], abs=1e-5)
+
+
+def test_samples_of_the_normals_are_those_of_the_moved_faces():
+    from gfp_grasp.register.posterior import _Surface, shape_model
+    from gfp_grasp.register.state import StateBatch
+
+    state, primitive = wedge_state(), wedge_primitive()
+    surface = _Surface(StateBatch.of([state], 3), shape_model(primitive, 60, 3))
+    assert surface.world[0] == pytest.approx(positions(state, primitive))
+    assert surface.normals[0] == pytest.approx(face_normals(state, primitive), abs=1e-9)
