@@ -29,9 +29,10 @@ from gfp_grasp.observation import (
 )
 from gfp_grasp.parallel import one_thread
 from gfp_grasp.primitives import PrimitiveLibrary
-from gfp_grasp.register import FitConfig, fit_best, gather_evidence, handle_is_seen
+from gfp_grasp.register import Evidence, FitConfig, fit_best, gather_evidence, part_is_seen
 from gfp_grasp.transforms import apply_T, invert_T
 from gfp_grasp.types import (
+    KEEP_RULES,
     CompletedShape,
     DepthImage,
     Detection,
@@ -57,7 +58,8 @@ class CompleteConfig:
         rival_share: A class whose score is at least this share of the best class's is fitted too, and the better fit
             decides.
         subcategories: Fit the subcategories of each such class as well.
-        handle_rule: "seen": a handle that no point supports is left out; "always": it is kept where the class has one.
+        optional_parts: "card" keeps a part as the card of its class says; "seen" leaves out every part that no point
+            supports, "always" none.
         collision: Budget of the convex parts, which are made at first access.
     """
 
@@ -66,7 +68,7 @@ class CompleteConfig:
     deform: DeformConfig = field(default_factory=DeformConfig)
     rival_share: float = 0.05
     subcategories: bool = True
-    handle_rule: str = "seen"
+    optional_parts: str = "card"
     collision: CollisionConfig = field(default_factory=CollisionConfig)
 
     def __post_init__(self) -> None:
@@ -74,8 +76,9 @@ class CompleteConfig:
             raise InvalidOption(f"library is a {type(self.library).__name__}; a PrimitiveLibrary is expected")
         if not 0 < self.rival_share <= 1:
             raise InvalidOption(f"rival_share is {self.rival_share}; a number in (0, 1] is expected")
-        if self.handle_rule not in ("seen", "always"):
-            raise InvalidOption(f"handle_rule is {self.handle_rule!r}; 'seen' or 'always' is expected")
+        if self.optional_parts not in ("card", *KEEP_RULES):
+            legal = ", ".join(("card", *KEEP_RULES))
+            raise InvalidOption(f"optional_parts is {self.optional_parts!r}; one of {legal} is expected")
 
 
 @one_thread()
@@ -277,9 +280,7 @@ def _best_fit(detection: Detection, config: CompleteConfig) -> FittedPrimitive:
         primitives = library.members_of(name) if config.subcategories else (library.primitive(name),)
         candidates += [(primitive, odds + primitive.spec.cost) for primitive in primitives]
     fit = fit_best(evidence, candidates, config=config.fit)
-    if fit.primitive.twin is not None and config.handle_rule == "seen" and not handle_is_seen(fit, evidence):
-        fit = _without_handle(fit)
-    return fit
+    return _with_parts_seen(fit, evidence, config.optional_parts)
 
 
 def _candidates(scores: Mapping[str, float], category: str, config: CompleteConfig) -> Sequence[str]:
@@ -290,11 +291,15 @@ def _candidates(scores: Mapping[str, float], category: str, config: CompleteConf
     return sorted((n for n, score in offered.items() if score >= config.rival_share * best), key=lambda n: -offered[n])
 
 
-def _without_handle(fit: FittedPrimitive) -> FittedPrimitive:
-    """The same body, from the primitive's twin: its vertices are a subset, so the modes carry over."""
-    twin = fit.primitive.twin
-    assert twin is not None
-    return replace(fit, primitive=twin)
+def _with_parts_seen(fit: FittedPrimitive, evidence: Evidence, rule: str) -> FittedPrimitive:
+    """The fit without the optional parts that are to be seen and are not; the modes hold for the body that is left."""
+    missing = [
+        part.name
+        for part in fit.primitive.spec.optional_parts
+        if (part.keep if rule == "card" else rule) == "seen" and not part_is_seen(fit, part.name, evidence)
+    ]
+    body = fit.primitive.without(missing)
+    return fit if body is None or body is fit.primitive else replace(fit, primitive=body)
 
 
 def _solid(fit: FittedPrimitive) -> FittedPrimitive:

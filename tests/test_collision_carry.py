@@ -13,7 +13,7 @@ from gfp_grasp.collision.convex import PartFaces, convex_part, volume_m3, within
 from gfp_grasp.collision.fidelity import union_error_m
 from gfp_grasp.errors import DecompositionFailed, InvalidMesh
 from gfp_grasp.primitives import load_primitive
-from gfp_grasp.types import CompletedShape, ConvexPart, FittedPrimitive, GenericPrimitive, Symmetry
+from gfp_grasp.types import CompletedShape, ConvexPart, FittedPrimitive, GenericPrimitive, Symmetry, Variant
 
 OUTER, INNER, FLOOR, HEIGHT = 0.04, 0.036, 0.004, 0.1
 
@@ -40,7 +40,7 @@ def square_cup() -> tuple[trimesh.Trimesh, tuple[ConvexPart, ...]]:
 
 
 def primitive(
-    mesh: trimesh.Trimesh, parts: tuple[ConvexPart, ...], twin: GenericPrimitive | None = None
+    mesh: trimesh.Trimesh, parts: tuple[ConvexPart, ...], variant: GenericPrimitive | None = None
 ) -> GenericPrimitive:
     v = len(mesh.vertices)
     return GenericPrimitive(
@@ -55,8 +55,8 @@ def primitive(
         up=np.array([0, 0, 1.0]),
         regions=np.zeros(v),
         parts=parts,
-        twin=twin,
-        twin_map=None if twin is None else np.arange(len(twin.vertices)),
+        region_names=("outside", "inside", "handle"),
+        variants=() if variant is None else (Variant(("handle",), variant, np.arange(len(variant.vertices))),),
     )
 
 
@@ -178,10 +178,10 @@ def test_a_point_on_a_large_face_beside_many_small_ones_finds_its_own():
     assert (face < 12).tolist() == [True, False]
 
 
-def test_the_twin_stands_in_where_the_vertices_are_its_own():
+def test_the_variant_stands_in_where_the_vertices_are_its_own():
     handle = trimesh.creation.box(bounds=[[0.035, -0.005, 0.03], [0.07, 0.005, 0.07]])
     with_handle = trimesh.util.concatenate([CUP, handle])
-    whole = primitive(with_handle, (*BOXES, ConvexPart(handle.vertices, handle.faces)), twin=TEMPLATE)  # pyright: ignore
+    whole = primitive(with_handle, (*BOXES, ConvexPart(handle.vertices, handle.faces)), variant=TEMPLATE)  # pyright: ignore
     assert len(carry_parts(whole, with_handle.vertices)) == 6  # pyright: ignore
     assert len(carry_parts(whole, CUP.vertices)) == 5
     assert collision_of(completed(CUP, whole)).made_by == "carried"

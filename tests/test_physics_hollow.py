@@ -16,7 +16,7 @@ from gfp_grasp.meshes import load_mesh
 from gfp_grasp.primitives import load_primitive
 from gfp_grasp.shapes import make_shape, split_seeds
 from gfp_grasp.transforms import rotation_about
-from gfp_grasp.types import HANDLE, ConvexPart
+from gfp_grasp.types import ConvexPart
 
 RADIUS_M, FLOOR_M = 0.006, 0.010
 
@@ -102,7 +102,7 @@ def test_a_block_stands_and_a_leaning_one_falls():
 def test_a_mug_hangs_by_its_handle_and_its_hull_does_not():
     mug = load_primitive("mug")
     mesh = trimesh.Trimesh(mug.vertices, mug.faces, process=False)
-    hole = handle_hole(mesh, mug.regions == HANDLE)
+    hole = handle_hole(mesh, mug.on_region("handle"))
     assert hole is not None
     middle, through, room = hole
     assert abs(through[1]) == pytest.approx(1, abs=0.05)
@@ -133,7 +133,7 @@ def assert_holds(completion: Completion, truth: trimesh.Trimesh, radius_m: float
 def assert_hangs(completion: Completion) -> None:
     """On a peg through the completed handle, and its hull does not."""
     assert completion.fit is not None
-    hole = handle_hole(completion.mesh, completion.fit.primitive.regions == HANDLE)
+    hole = handle_hole(completion.mesh, completion.fit.primitive.on_region("handle"))
     assert hole is not None
     middle, through, room = hole
     radius = min(0.005, 0.6 * room)

@@ -14,7 +14,7 @@ from gfp_grasp.meshes import crossing_faces
 from gfp_grasp.primitives import (
     BuildConfig,
     build_primitive,
-    fit_whole_surface,
+    fit_full_surface,
     measure_primitive,
     read_primitive,
     save_primitive,
@@ -29,7 +29,7 @@ from gfp_grasp.primitives.template import choose_template
 from gfp_grasp.shapes import make_shape, split_seeds
 from gfp_grasp.train import build_from_folder, build_from_shapes
 from gfp_grasp.transforms import random_rotation
-from gfp_grasp.types import HANDLE, INSIDE
+from gfp_grasp.types import INSIDE
 
 QUICK = BuildConfig(
     rounds=1,
@@ -114,7 +114,7 @@ def test_known_modes_are_recovered_with_unit_deviation():
     axes = np.linalg.qr(rng.normal(size=(600, 2)))[0].T.reshape(2, 200, 3)
     scores = rng.normal(size=(400, 2)) * [0.02, 0.01]
     members = mean + np.tensordot(scores, axes, 1)
-    model = shape_model(members, weights, odd_beyond=10.0)
+    model = shape_model(members, weights, outlier_beyond=10.0)
     assert len(model.modes) == 2
     np.testing.assert_allclose(model.coefficients.std(axis=0, ddof=1), 1.0, atol=1e-6)
     rebuilt = (model.mean + np.tensordot(model.coefficients, model.modes, 1)) * np.exp(model.log_scale)[:, None]
@@ -122,13 +122,13 @@ def test_known_modes_are_recovered_with_unit_deviation():
     assert model.explained[0] == pytest.approx(0.8, abs=0.05)
 
 
-def test_odd_member_bends_neither_mean_nor_main_modes_but_is_expressed():
+def test_outlier_bends_neither_mean_nor_main_modes_but_is_expressed():
     rng = np.random.default_rng(2)
     mean = 0.05 * rng.normal(size=(100, 3))
     usual = mean + 0.001 * rng.normal(size=(30, 1, 1)) * rng.normal(size=(100, 3))
     odd = mean + 0.02 * rng.normal(size=(1, 100, 3))
     model = shape_model(np.concatenate([usual, odd]), np.ones(100))
-    np.testing.assert_array_equal(np.flatnonzero(model.odd), [30])
+    np.testing.assert_array_equal(np.flatnonzero(model.outlier), [30])
     assert np.linalg.norm(model.mean - mean, axis=1).mean() < 0.0005
     rebuilt = (model.mean + np.tensordot(model.coefficients[30], model.modes, 1)) * np.exp(model.log_scale[30])
     assert np.linalg.norm(rebuilt - odd[0], axis=1).mean() < 0.001
@@ -174,7 +174,7 @@ def test_built_primitive_is_a_clean_upright_volume(thin_primitive):
     assert np.abs(mesh.bounds[:, :2].sum(axis=0)).max() < 0.001
     assert thin_primitive.symmetry.order == math.inf
     assert 0.3 < (thin_primitive.regions == INSIDE).mean() < 0.6
-    assert thin_primitive.twin is None
+    assert thin_primitive.variants == ()
     assert thin_primitive.card["members_used"] == 6
 
 
@@ -192,7 +192,7 @@ def test_mean_has_the_geometric_mean_size_of_the_members(thin_primitive, thin_me
 
 def test_primitive_fits_a_new_member_whole(thin_primitive):
     member = cup(height=0.1, bottom=0.028, top=0.04, wall=0.0015)
-    vertices, error = fit_whole_surface(thin_primitive, member)
+    vertices, error = fit_full_surface(thin_primitive, member)
     assert vertices.shape == thin_primitive.vertices.shape
     assert error < 0.0006
 
@@ -295,10 +295,10 @@ def test_class_is_built_from_remeshed_turned_scaled_and_broken_files(tmp_path):
     assert "1 more unreadable" in str(primitive.card["data"])
     assert int(str(primitive.card["members_used"])) >= 13
     # Upright, handle towards +x, open at the top.
-    handle = primitive.regions == HANDLE
+    handle = primitive.on_region("handle")
     assert handle.any()
     assert primitive.vertices[handle, 0].mean() > 0.9 * np.abs(primitive.vertices[:, 1]).max()
-    assert primitive.twin is not None
+    assert primitive.without(["handle"]) is not None
     inside = primitive.regions == INSIDE
     assert primitive.vertices[inside, 2].max() > 0.85 * primitive.vertices[:, 2].max()
     assert float(str(primitive.card["generalization_mm"])) < 1.5

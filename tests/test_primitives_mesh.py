@@ -1,4 +1,4 @@
-"""Meshes of primitives: remeshing, thinning out, undoing folds, labels, symmetry, and the twin without its handle."""
+"""Meshes of primitives: remeshing, thinning out, undoing folds, labels, symmetry, and the body without its handle."""
 
 import math
 
@@ -9,13 +9,13 @@ from revolved import cup, mug, wall_thickness
 
 from gfp_grasp.errors import BuildFailed, InvalidMesh, InvalidOption
 from gfp_grasp.meshes import crossing_faces, vertex_normals
-from gfp_grasp.primitives.anatomy import detect_symmetry, label_regions
+from gfp_grasp.primitives.part_removal import without_part
+from gfp_grasp.primitives.regions import detect_symmetry, label_regions
 from gfp_grasp.primitives.remesh import RemeshConfig, refine, remesh
 from gfp_grasp.primitives.resample import ResampleConfig, resample
 from gfp_grasp.primitives.surface import Surface, surface_distance_m
-from gfp_grasp.primitives.twin import without_handle
 from gfp_grasp.primitives.untangle import folded_faces, untangle
-from gfp_grasp.types import HANDLE, INSIDE, OUTSIDE
+from gfp_grasp.types import INSIDE, OUTSIDE
 
 COARSE = RemeshConfig(min_edge=0.02, max_edge=0.08, iterations=4)
 
@@ -122,40 +122,44 @@ def test_folds_are_undone_and_the_rest_stays():
 
 def test_regions_of_a_mug_are_found_by_geometry():
     mesh = refine(mug(), 0.01)
-    regions = label_regions(mesh)
+    regions, names = label_regions(mesh)
+    assert names == ("outside", "inside", "handle")
     radius, height = np.linalg.norm(mesh.vertices[:, :2], axis=1), mesh.vertices[:, 2]
     normals = vertex_normals(mesh.vertices, mesh.faces)
     inner_wall = (radius < 0.029 + 0.1 * height) & (height > 0.003) & (height < 0.09)
     assert (regions[inner_wall] == INSIDE).all()
     assert (regions[height < 0.001] == OUTSIDE).all()
-    assert (regions[mesh.vertices[:, 0] > 0.046] == HANDLE).all()
+    assert (regions[mesh.vertices[:, 0] > 0.046] == names.index("handle")).all()
     assert (regions[(mesh.vertices[:, 0] < -0.005) & (radius > 0.0295 + 0.1 * height)] == OUTSIDE).all()
     assert (regions[(normals[:, 2] < -0.9) & (height < 0.001)] == OUTSIDE).all()
 
 
 def test_solid_body_has_no_inside_and_no_handle():
-    assert (label_regions(trimesh.creation.cylinder(radius=0.03, height=0.1)) == OUTSIDE).all()
+    regions, names = label_regions(trimesh.creation.cylinder(radius=0.03, height=0.1))
+    assert (regions == OUTSIDE).all()
+    assert names == ("outside", "inside")
 
 
 def test_mug_loses_its_handle_and_stays_a_clean_volume(remeshed_mug):
-    regions = label_regions(remeshed_mug)
-    kept, faces = without_handle(np.array(remeshed_mug.vertices), np.array(remeshed_mug.faces), regions)
-    twin = trimesh.Trimesh(remeshed_mug.vertices[kept], faces, process=False)
-    assert twin.is_volume
-    assert twin.euler_number == 2
-    assert not len(crossing_faces(twin.vertices, faces))
-    assert not (regions[kept] == HANDLE).any()
-    assert twin.bounds[1, 0] < 0.0425
+    regions, names = label_regions(remeshed_mug)
+    handle = regions == names.index("handle")
+    kept, faces = without_part(np.array(remeshed_mug.vertices), np.array(remeshed_mug.faces), handle)
+    body_left = trimesh.Trimesh(remeshed_mug.vertices[kept], faces, process=False)
+    assert body_left.is_volume
+    assert body_left.euler_number == 2
+    assert not len(crossing_faces(body_left.vertices, faces))
+    assert not handle[kept].any()
+    assert body_left.bounds[1, 0] < 0.0425
     # All around, wherever the handle had its ends too.
     body = cup()
-    assert surface_distance_m(twin, body) < 0.001
+    assert surface_distance_m(body_left, body) < 0.001
 
 
 def test_handle_that_is_everything_cannot_be_cut_off():
     sphere = trimesh.creation.icosphere(subdivisions=2)
-    half = np.where(sphere.vertices[:, 0] > -0.99, HANDLE, OUTSIDE)
+    half = sphere.vertices[:, 0] > -0.99
     with pytest.raises(BuildFailed):
-        without_handle(np.array(sphere.vertices), np.array(sphere.faces), half)
+        without_part(np.array(sphere.vertices), np.array(sphere.faces), half)
 
 
 @pytest.mark.parametrize(

@@ -23,7 +23,7 @@ from gfp_grasp.completion import Completion
 from gfp_grasp.errors import GfpGraspError
 from gfp_grasp.parallel import pmap
 from gfp_grasp.scenes import ObjectSource, label_of, load_objects
-from gfp_grasp.types import HANDLE, ConvexPart
+from gfp_grasp.types import ConvexPart
 
 MARBLE_M = 0.006
 _FLOOR_M = 0.010  # of the floor's height, that a marble may lie off it
@@ -101,7 +101,7 @@ def _peg(
 ) -> dict[str, object]:
     del truth
     assert completion.fit is not None
-    handle = completion.fit.primitive.regions == HANDLE
+    handle = completion.fit.primitive.on_region("handle")
     hole = handle_hole(completion.mesh, handle) if handle.any() else None
     if hole is None:
         return {}

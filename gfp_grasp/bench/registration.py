@@ -23,7 +23,7 @@ from gfp_grasp.register import FitConfig, fit_primitive
 from gfp_grasp.shapes import FAMILIES, split_seeds
 from gfp_grasp.train.views import View, ViewsConfig, render_views, shape_source
 from gfp_grasp.transforms import apply_T
-from gfp_grasp.types import HANDLE, FittedPrimitive, GenericPrimitive
+from gfp_grasp.types import FittedPrimitive, GenericPrimitive
 
 STARTS = ("box", "pcrnet")
 _SAMPLES = 4096
@@ -121,7 +121,7 @@ def _errors(fit: FittedPrimitive, view: View, primitive: GenericPrimitive) -> di
         "cd_m": chamfer_m(fitted, true),
         "wrong_rest": fit.hypothesis != view.resting,
     }
-    if (primitive.regions == HANDLE).any():  # without a handle, most members are round and have no yaw
+    if primitive.on_part.any():  # without a handle, most members are round and have no yaw
         level = R_true[:, 0] - (R_true[:, 0] @ R[:, 2]) * R[:, 2]
         errors["yaw_deg"] = _degrees(R[:, 0], level)
     return errors

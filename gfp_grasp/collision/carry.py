@@ -70,8 +70,8 @@ def carry_parts(
     """Convex parts of a deformed primitive.
 
     Args:
-        primitive: With parts; its handle-less twin stands in where the vertices are the twin's.
-        deformed_local: (v, 3) m, where its vertices (or its twin's) have gone. Any frame will do, the world's too: the
+        primitive: With parts; a variant of it stands in where the vertices are the variant's.
+        deformed_local: (v, 3) m, where its vertices (or a variant's) have gone. Any frame will do, the world's too: the
             parts come in the same.
         count: So many of the primitive's parts are left, the others merged with their neighbours; None for all.
         max_vertices: Most vertices a part; None for no limit.
@@ -114,20 +114,17 @@ def _groups(primitive: GenericPrimitive, count: int) -> list[list[int]]:
 
 
 def bearer(primitive: GenericPrimitive, num_vertices: int) -> GenericPrimitive:
-    """The primitive or its twin, whichever has this many vertices.
+    """The primitive or the variant of it that has this many vertices.
 
     Raises:
-        InvalidMesh: Neither has.
+        InvalidMesh: None has.
     """
-    twin = primitive.twin
-    if num_vertices == len(primitive.vertices):
-        return primitive
-    if twin is not None and num_vertices == len(twin.vertices):
-        return twin
-    also = "" if twin is None else f", its twin {len(twin.vertices)}"
-    raise InvalidMesh(
-        f"{num_vertices} vertices came; primitive {primitive.category!r} has {len(primitive.vertices)}{also}"
-    )
+    candidates = [primitive, *(variant.primitive for variant in primitive.variants)]
+    for candidate in candidates:
+        if num_vertices == len(candidate.vertices):
+            return candidate
+    counts = ", a variant of it ".join(str(len(candidate.vertices)) for candidate in candidates)
+    raise InvalidMesh(f"{num_vertices} vertices came; primitive {primitive.category!r} has {counts}")
 
 
 def _bind(primitive: GenericPrimitive, count: int) -> _Binding:

@@ -37,7 +37,7 @@ _gaps: WeakKeyDictionary[GenericPrimitive, tuple[np.ndarray, np.ndarray] | None]
 def collision_of(shape: CompletedShape, *, config: CollisionConfig = CollisionConfig()) -> CollisionMesh:
     """Convex parts of a completed shape, within a budget.
 
-    The parts of the primitive it was fitted with are carried along where the mesh has the primitive's (or its twin's)
+    The parts of the primitive it was fitted with are carried along where the mesh has the primitive's (or a variant's)
     vertices; a convex mesh is its own hull; else CoACD runs. It runs too where carried parts miss their bound: the
     config's tolerance or else 1 % of the diagonal on average, and four fifths of the ball that fits into a hollow
     thing. Of two that miss it the better one is given. What misses it comes with a warning that tells the figures.

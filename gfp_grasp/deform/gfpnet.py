@@ -28,7 +28,7 @@ from gfp_grasp.deform.layout import patch_unit_m
 from gfp_grasp.deform.patches import MISFIT_SHARE, NUM_POSE_FEATURES, NUM_RESIDUALS
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.register.pcrnet import mlp
-from gfp_grasp.types import HANDLE, FittedPrimitive, GenericPrimitive
+from gfp_grasp.types import FittedPrimitive, GenericPrimitive
 
 MODES = 24  # of a primitive that the network knows
 PRIMITIVES = ("cup", "cup.lidded", "cup.stemmed", "mug", "bottle", "bottle.jug", "bottle.spray")  # that it learns
@@ -123,7 +123,7 @@ def fit_features(fit: FittedPrimitive, *, known: bool = True) -> np.ndarray:
         count = min(MODES, len(fit.coefficients))
         features[:count] = 0.5 * fit.coefficients[:count]
         features[MODES + 3 + PRIMITIVES.index(fit.primitive.name)] = 1.0
-    features[-1] = float((fit.primitive.regions == HANDLE).any())
+    features[-1] = float(fit.primitive.on_part.any())
     return features
 
 

@@ -10,12 +10,14 @@ from scipy.spatial import KDTree
 from gfp_grasp.clouds import estimate_normals, thin
 from gfp_grasp.deform.layout import patch_unit_m
 from gfp_grasp.meshes import vertex_normals
-from gfp_grasp.types import HANDLE, Detection, FittedPrimitive
+from gfp_grasp.types import Detection, FittedPrimitive, GenericPrimitive
 
 # A mirrored point speaks only where nothing was observed, and near the fit: elsewhere the symmetry is broken. Both in
 # units of `patch_unit_m`.
 _SILENT = 0.2
 _PLAUSIBLE = 0.4
+# A part stands beside the axis when its centre is this far away from it; share of the diagonal.
+_BESIDE = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,8 +40,8 @@ def template_points(
 ) -> TemplatePoints:
     """Observed points with normals in the fit's own frame, and their mirror images where nothing was seen.
 
-    A round or oval body is its own mirror image in both upright planes through its axis; a handle only in its own
-    plane, so points on a handle are never carried across to the body's other side.
+    A round or oval body is its own mirror image in both upright planes through its axis; a part beside the axis, as a
+    handle, only in its own plane, so points on it are never brought to the body's other side.
 
     Args:
         fit: Registered primitive.
@@ -58,8 +60,8 @@ def template_points(
         normals = _outward(points, normals, vertices, surface, fit.primitive.faces)
     images = [TemplatePoints(points, normals, np.zeros(len(points), dtype=bool))]
     if symmetry:
-        on_handle = fit.primitive.regions[surface.query(points)[1]] == HANDLE
-        images += _mirrored(points, normals, on_handle, fit, KDTree(points), surface)
+        regions = fit.primitive.regions[surface.query(points)[1]]
+        images += _mirrored(points, normals, regions, fit, KDTree(points), surface)
     return TemplatePoints(
         np.concatenate([i.points for i in images]),
         np.concatenate([i.normals for i in images]),
@@ -70,37 +72,51 @@ def template_points(
 def _mirrored(
     points: np.ndarray,
     normals: np.ndarray,
-    on_handle: np.ndarray,
+    regions: np.ndarray,
     fit: FittedPrimitive,
     seen: KDTree,
     surface: KDTree,
 ) -> list[TemplatePoints]:
     images, unit_m = [], patch_unit_m(fit.primitive)
     near_m = _PLAUSIBLE * unit_m + _vertex_spacing(surface)
-    for signs, takes_handle in _mirrors(fit):
-        moved, turned = points * signs, normals * signs
-        keep = np.ones(len(points), dtype=bool) if takes_handle else ~on_handle
-        keep &= seen.query(moved)[0] > _SILENT * unit_m
+    for move, stays in _mirrors(fit.primitive):
+        moved, turned = points @ move.T, normals @ move.T
+        keep = stays[regions] & (seen.query(moved)[0] > _SILENT * unit_m)
         distance, nearest = surface.query(moved)
-        keep &= distance < near_m
-        if not takes_handle:
-            keep &= fit.primitive.regions[nearest] != HANDLE
+        keep &= (distance < near_m) & stays[fit.primitive.regions[nearest]]
         images.append(TemplatePoints(moved[keep], turned[keep], np.ones(int(keep.sum()), dtype=bool)))
     return images
 
 
-def _mirrors(fit: FittedPrimitive) -> list[tuple[np.ndarray, bool]]:
-    """Signs of (x, y, z) of each mirror image, and whether a handle keeps its place under it."""
-    has_handle = bool((fit.primitive.regions == HANDLE).any())
-    symmetry = fit.primitive.symmetry
-    if has_handle:
-        across = np.array([1.0, -1.0, 1.0])
-        return [(across, True), (np.array([-1.0, 1.0, 1.0]), False), (np.array([-1.0, -1.0, 1.0]), False)]
-    if symmetry.order >= 2:
-        return [(np.array(s), True) for s in ((-1.0, 1.0, 1.0), (1.0, -1.0, 1.0), (-1.0, -1.0, 1.0))]
-    if symmetry.mirror_normal is not None:
-        return [(1.0 - 2.0 * np.abs(np.rint(symmetry.mirror_normal)), True)]
-    return []
+def _mirrors(primitive: GenericPrimitive) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Moves (3, 3) of the body onto itself, each with which regions (r,) bool keep their place under it."""
+    centres = np.zeros((len(primitive.region_names), 3))
+    for region in np.unique(primitive.regions[primitive.on_part]):
+        centres[region] = primitive.vertices[primitive.regions == region].mean(axis=0) * [1, 1, 0]
+    away_m = _BESIDE * float(np.linalg.norm(np.ptp(primitive.vertices, axis=0)))
+    beside = centres[np.linalg.norm(centres, axis=1) > away_m]
+    symmetry = primitive.symmetry
+    if len(beside):
+        across = _plane_of(beside[0], symmetry.mirror_normal, away_m)
+        along = np.cross(across, [0.0, 0.0, 1.0])
+        moves = [_reflection(across), _reflection(along), _reflection(across) @ _reflection(along)]
+    elif symmetry.order >= 2:
+        moves = [np.diag(signs) for signs in ((-1.0, 1.0, 1.0), (1.0, -1.0, 1.0), (-1.0, -1.0, 1.0))]
+    else:
+        moves = [] if symmetry.mirror_normal is None else [_reflection(symmetry.mirror_normal)]
+    return [(move, np.linalg.norm(centres @ move.T - centres, axis=1) < away_m) for move in moves]
+
+
+def _plane_of(centre: np.ndarray, mirror_normal: np.ndarray | None, away_m: float) -> np.ndarray:
+    """Normal (3,) of the upright plane through the axis and a part: the class's own mirror plane where it holds it."""
+    if mirror_normal is not None and abs(float(mirror_normal @ centre)) < away_m:
+        return mirror_normal
+    normal = np.cross([0.0, 0.0, 1.0], centre)
+    return normal / np.linalg.norm(normal)
+
+
+def _reflection(normal: np.ndarray) -> np.ndarray:
+    return np.eye(3) - 2.0 * np.outer(normal, normal)
 
 
 def _vertex_spacing(surface: KDTree) -> float:

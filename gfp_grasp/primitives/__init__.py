@@ -1,22 +1,20 @@
 """Generic Primitives: building them from meshes of a class, measuring them, loading the ones that ship."""
 
-from gfp_grasp.primitives.build import BuildConfig, Progress, build_primitive
-from gfp_grasp.primitives.figures import PrimitiveReport, measure_primitive
+from gfp_grasp.primitives.build import BuildConfig, Progress, build_primitive, with_parts
+from gfp_grasp.primitives.evaluate import PrimitiveReport, measure_primitive
+from gfp_grasp.primitives.full_fit import fit_full_surface
 from gfp_grasp.primitives.library import PrimitiveLibrary, list_primitives, load_kinds, load_primitive
-from gfp_grasp.primitives.parting import with_parts
 from gfp_grasp.primitives.pose import bring_into_one_pose
 from gfp_grasp.primitives.store import read_primitive, save_primitive
-from gfp_grasp.primitives.whole import WholeConfig, fit_whole_surface
 
 __all__ = [
     "BuildConfig",
     "PrimitiveLibrary",
     "PrimitiveReport",
     "Progress",
-    "WholeConfig",
     "bring_into_one_pose",
     "build_primitive",
-    "fit_whole_surface",
+    "fit_full_surface",
     "list_primitives",
     "load_kinds",
     "load_primitive",

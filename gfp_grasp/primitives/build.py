@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import combinations
 from typing import Literal
 
 import numpy as np
@@ -12,20 +13,19 @@ import trimesh
 
 from gfp_grasp.errors import BuildFailed, GfpGraspError, InvalidOption
 from gfp_grasp.meshes import check_mesh, crossing_faces, make_solid, vertex_normals
-from gfp_grasp.primitives.anatomy import detect_symmetry, label_regions
 from gfp_grasp.primitives.correspondence import Correspondence, CorrespondenceConfig, TemplateFitter
 from gfp_grasp.primitives.frame import stand_up
 from gfp_grasp.primitives.mls import project
 from gfp_grasp.primitives.modes import ShapeModel, shape_model
-from gfp_grasp.primitives.parting import with_parts
+from gfp_grasp.primitives.part_removal import without_part
 from gfp_grasp.primitives.pose import bring_into_one_pose
 from gfp_grasp.primitives.procrustes import generalized
+from gfp_grasp.primitives.regions import detect_symmetry, label_regions
 from gfp_grasp.primitives.remesh import RemeshConfig, remesh
 from gfp_grasp.primitives.resample import ResampleConfig, resample
 from gfp_grasp.primitives.template import choose_template
-from gfp_grasp.primitives.twin import without_handle
 from gfp_grasp.primitives.untangle import untangle
-from gfp_grasp.types import HANDLE, GenericPrimitive
+from gfp_grasp.types import BODY_REGIONS, GenericPrimitive, Variant
 
 Progress = Callable[[Iterable, int], Iterable]
 _UP = np.array([0.0, 0.0, 1.0])
@@ -226,14 +226,15 @@ def _assemble(
     mesh = trimesh.Trimesh(vertices, thin, process=False)
     if not mesh.is_volume or len(crossing_faces(vertices, thin)):
         raise BuildFailed(f"the mean {category} is no clean volume: its members are too different, or too few")
-    regions = label_regions(mesh)
+    regions, region_names = label_regions(mesh)
     samples = np.hstack([model.coefficients, model.log_scale])
     shared = {
         "category": category.partition(".")[0],
         "subcategory": category.partition(".")[2],
         "explained": model.explained,
-        "log_scale_cov": np.cov(model.log_scale[~model.odd].T),
+        "log_scale_cov": np.cov(model.log_scale[~model.outlier].T),
         "coefficient_samples": samples,
+        "region_names": region_names,
         "up": _UP,
         "licence": config.licence,
     }
@@ -246,23 +247,27 @@ def _assemble(
             [trimesh.Trimesh(shape[index], own_faces, process=False) for shape in shapes], rng, share=share
         )
 
-    twin = twin_map = None
-    if (regions == HANDLE).any():
-        twin_map, twin_faces = without_handle(vertices, thin, regions)
-    if twin_map is not None:
-        twin = GenericPrimitive(
-            vertices=vertices[twin_map],
-            faces=twin_faces,
-            modes=modes[:, twin_map],
-            symmetry=symmetry(twin_map, twin_faces),
-            regions=regions[twin_map],
+    variants = []
+    for parts in _subsets(region_names[len(BODY_REGIONS) :]):
+        part = np.isin(regions, [region_names.index(name) for name in parts])
+        try:
+            kept, own_faces = without_part(vertices, thin, part)
+        except BuildFailed:
+            continue  # the part is kept always
+        body = GenericPrimitive(
+            vertices=vertices[kept],
+            faces=own_faces,
+            modes=modes[:, kept],
+            symmetry=symmetry(kept, own_faces),
+            regions=regions[kept],
             **shared,
         )
+        variants.append(Variant(parts, body, kept))
     card = {
         "meshes_given": num_given,
         "members_used": len(samples),
         "members_dropped": dict(dropped),
-        "members_odd": int(model.odd.sum()),
+        "outliers": int(model.outlier.sum()),
         "vertices": len(vertices),
         "faces": len(thin),
         "modes": len(modes),
@@ -272,14 +277,40 @@ def _assemble(
         "resampling_error_mm": round(1e3 * error, 4),
         "dense_vertices": len(mean),
     }
-    return GenericPrimitive(
+    full = GenericPrimitive(
         vertices=vertices,
         faces=thin,
         modes=modes,
         symmetry=symmetry(np.arange(len(vertices)), thin),
         regions=regions,
-        twin=twin,
-        twin_map=twin_map,
         card=card,
         **shared,
+    )
+    return replace(full, variants=tuple(_with_spec_of(full, variant) for variant in variants))
+
+
+def _subsets(names: Sequence[str]) -> list[tuple[str, ...]]:
+    """Every set of at least one of the names."""
+    return [chosen for count in range(1, len(names) + 1) for chosen in combinations(names, count)]
+
+
+def _with_spec_of(primitive: GenericPrimitive, variant: Variant) -> Variant:
+    return replace(variant, primitive=replace(variant.primitive, spec=primitive.spec))
+
+
+def with_parts(primitive: GenericPrimitive) -> GenericPrimitive:
+    """The same primitive, and its variants, with convex parts at every level; takes minutes.
+
+    Raises:
+        DecompositionFailed: CoACD was lost in every attempt.
+    """
+    from gfp_grasp.collision import part_levels  # starts a child process
+
+    levels = part_levels(trimesh.Trimesh(primitive.vertices, primitive.faces, process=False))
+    return replace(
+        primitive,
+        parts=levels.parts,
+        part_merges=levels.merges,
+        part_errors_m=levels.errors_m,
+        variants=tuple(replace(v, primitive=with_parts(v.primitive)) for v in primitive.variants),
     )

@@ -6,8 +6,8 @@ import numpy as np
 import trimesh
 
 from gfp_grasp.meshes import vertex_normals
-from gfp_grasp.primitives.anatomy import enclosed
 from gfp_grasp.primitives.procrustes import centroid_size
+from gfp_grasp.primitives.regions import enclosed
 from gfp_grasp.primitives.surface import Surface
 from gfp_grasp.transforms import rotation_about, rotation_between
 

@@ -9,9 +9,9 @@ import numpy as np
 from gfp_grasp.errors import InvalidMesh
 
 _ROUNDS = 20
-# Modes that are set aside for odd members, a stemmed glass among cups, so that they do not bend the other modes.
-_FOR_ODD = 4
-# Members that differ by less than this share of their size are alike, and none of them is odd.
+# Modes that are set aside for outliers, a vessel with a stem among many without, so that they do not bend the others.
+_FOR_OUTLIERS = 4
+# Members that differ by less than this share of their size are alike, and none of them is an outlier.
 _ALIKE = 0.002
 # A deviation below this share of the size is rounding.
 _NOTHING = 1e-7
@@ -25,12 +25,12 @@ class ShapeModel:
 
     Attributes:
         mean: (v, 3) m.
-        modes: (k, v, 3) m, each for one standard deviation; first those of the usual members, then those of odd ones.
+        modes: (k, v, 3) m, each for one standard deviation; first those of the usual members, then those of outliers.
         explained: (k,) share of the variance that is left after scale.
         log_scale: (s, 3) natural logarithm of each member's scale along x, y and z; its mean is zero.
         coefficients: (s, k) of the members, in standard deviations.
         variance_m2: Mean squared vertex distance of the members from the mean, after scale.
-        odd: (s,) bool, members far from the rest.
+        outlier: (s,) bool, members far from the rest.
     """
 
     mean: np.ndarray
@@ -39,7 +39,7 @@ class ShapeModel:
     log_scale: np.ndarray
     coefficients: np.ndarray
     variance_m2: float
-    odd: np.ndarray
+    outlier: np.ndarray
 
 
 def shape_model(
@@ -48,7 +48,7 @@ def shape_model(
     *,
     variance: float = 0.99,
     max_modes: int = 24,
-    odd_beyond: float = 2.5,
+    outlier_beyond: float = 2.5,
 ) -> ShapeModel:
     """Factor members into scale * (mean + modes), scale about the frame's origin.
 
@@ -57,8 +57,8 @@ def shape_model(
         weights: (v,) areas; the modes are orthogonal under them.
         variance: Keep the fewest modes that explain this share.
         max_modes: And never more than this.
-        odd_beyond: Members that are this many times farther from the mean than the median member are odd: they shape
-            neither the mean nor the main modes, but get modes of their own.
+        outlier_beyond: Members that are this many times farther from the mean than the median member are outliers:
+            they shape neither the mean nor the main modes, but get modes of their own.
 
     Raises:
         InvalidMesh: Fewer than two members, or a member that is turned over against the mean.
@@ -70,13 +70,13 @@ def shape_model(
     mean, log_scale, rest = _scale_and_mean(members, w, usual)
     distance = np.sqrt(np.einsum("v,svc->s", w, rest**2))
     size = float(np.sqrt(w @ (mean**2).sum(axis=1)))
-    usual = distance <= odd_beyond * max(float(np.median(distance)), _ALIKE * size)
+    usual = distance <= outlier_beyond * max(float(np.median(distance)), _ALIKE * size)
     mean, log_scale, rest = _scale_and_mean(members, w, usual)
 
     root = np.sqrt(np.repeat(w, 3))
     flat = rest.reshape(len(members), -1) * root
     total = float((flat**2).sum() / (len(members) - 1))
-    reserved = min(_FOR_ODD, int((~usual).sum()), max_modes - 1)
+    reserved = min(_FOR_OUTLIERS, int((~usual).sum()), max_modes - 1)
     if total < (_NOTHING * size) ** 2:
         flat = np.zeros_like(flat)
     axes = _principal(flat[usual], variance, max_modes - reserved)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
@@ -13,8 +14,9 @@ from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 
 from gfp_grasp.errors import AssetMissing, GfpGraspError, InvalidOption, UnreadableFile
-from gfp_grasp.types import CategorySpec, ConvexPart, GenericPrimitive, Symmetry
+from gfp_grasp.types import CategorySpec, ConvexPart, GenericPrimitive, Symmetry, Variant
 
+_AND = "+"  # between the names of the parts that a variant lacks, in the names of its arrays
 _ARRAYS = ("vertices", "faces", "modes", "explained", "log_scale_cov", "coefficient_samples", "up", "regions")
 
 
@@ -41,6 +43,7 @@ def save_primitive(primitive: GenericPrimitive, folder: str | Path) -> Path:
         "licence": primitive.licence,
         "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
         "shape_sha256": _shape_sha256(primitive),
+        "region_names": list(primitive.region_names),
         "spec": primitive.spec.as_dict(),
     }
     card |= {key: value for key, value in primitive.card.items() if key not in (*card, "subcategory")}
@@ -137,9 +140,10 @@ def _arrays_of(primitive: GenericPrimitive, prefix: str) -> dict[str, np.ndarray
     arrays[prefix + "part_faces"] = np.concatenate([np.zeros((0, 3), dtype=np.int64), *(p.faces for p in parts)])
     if len(primitive.prototypes):
         arrays[prefix + "prototypes"] = np.ascontiguousarray(primitive.prototypes)
-    if primitive.twin is not None and primitive.twin_map is not None:
-        arrays[prefix + "twin_map"] = np.ascontiguousarray(primitive.twin_map)
-        arrays.update(_arrays_of(primitive.twin, prefix + "twin."))
+    for variant in primitive.variants:
+        inner = f"without.{_AND.join(variant.without)}."
+        arrays[inner + "vertex_map"] = np.ascontiguousarray(variant.vertex_map)
+        arrays.update(_arrays_of(variant.primitive, inner))
     return arrays
 
 
@@ -150,7 +154,6 @@ def _from_arrays(arrays: dict[str, np.ndarray], prefix: str, card: dict) -> Gene
     ends = np.cumsum(arrays[prefix + "part_sizes"], axis=0)
     vertices = np.split(arrays[prefix + "part_vertices"], ends[:-1, 0]) if len(ends) else []
     faces = np.split(arrays[prefix + "part_faces"], ends[:-1, 1]) if len(ends) else []
-    has_twin = prefix + "twin_map" in arrays
     return GenericPrimitive(
         category=card["category"],
         subcategory=card.get("subcategory", ""),
@@ -159,10 +162,18 @@ def _from_arrays(arrays: dict[str, np.ndarray], prefix: str, card: dict) -> Gene
         parts=tuple(ConvexPart(v, f) for v, f in zip(vertices, faces, strict=True)),
         part_merges=arrays.get(prefix + "part_merges", np.zeros((0, 2))),
         part_errors_m=arrays.get(prefix + "part_errors_m", np.zeros((0, 2))),
-        twin=_from_arrays(arrays, prefix + "twin.", card) if has_twin else None,
-        twin_map=arrays[prefix + "twin_map"] if has_twin else None,
+        region_names=tuple(card["region_names"]),
+        variants=() if prefix else tuple(_variants(arrays, card)),
         licence=card["licence"],
         card=card,
         spec=CategorySpec.from_dict(card["spec"]) if "spec" in card else None,  # pyright: ignore[reportArgumentType]
         prototypes=arrays.get(prefix + "prototypes", np.zeros((0, 0))),
     )
+
+
+def _variants(arrays: dict[str, np.ndarray], card: dict) -> Iterator[Variant]:
+    for name in sorted(arrays):
+        if name.startswith("without.") and name.endswith(".vertex_map"):
+            prefix = name.removesuffix("vertex_map")
+            parts = prefix.removeprefix("without.").removesuffix(".").split(_AND)
+            yield Variant(tuple(parts), _from_arrays(arrays, prefix, card), arrays[name])

@@ -32,7 +32,7 @@ def choose_template(members: Sequence[trimesh.Trimesh], rng: np.random.Generator
     features = [_features(members[i], rng) for i in chosen]
     trees = [KDTree(feature) for feature in features]
     distance = np.array([[tree.query(feature)[0].mean() for tree in trees] for feature in features])
-    # The median, not the mean: a few odd members do not decide which one is central.
+    # The median, not the mean: a few outliers do not decide which one is central.
     return int(chosen[np.median(distance + distance.T, axis=1).argmin()])
 
 

@@ -1,7 +1,7 @@
 """Registration of a primitive onto one view: starts, then pose, scale and modes by robust least squares."""
 
 from gfp_grasp.register.config import FitConfig
-from gfp_grasp.register.evaluate import handle_is_seen
+from gfp_grasp.register.evaluate import part_is_seen
 from gfp_grasp.register.evidence import Evidence, gather_evidence
 from gfp_grasp.register.fit import fit_best, fit_evidence, fit_primitive
 from gfp_grasp.register.icp import icp_config, pcrnet_config
@@ -15,7 +15,7 @@ __all__ = [
     "fit_evidence",
     "fit_primitive",
     "gather_evidence",
-    "handle_is_seen",
     "icp_config",
+    "part_is_seen",
     "pcrnet_config",
 ]

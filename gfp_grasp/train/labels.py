@@ -22,7 +22,7 @@ from gfp_grasp.errors import FitDiverged, TooFewPoints
 from gfp_grasp.meshes import crossing_faces, sample_surface, vertex_normals
 from gfp_grasp.parallel import pmap
 from gfp_grasp.primitives import load_kinds
-from gfp_grasp.register import FitConfig, fit_best, gather_evidence, handle_is_seen
+from gfp_grasp.register import FitConfig, fit_best, gather_evidence, part_is_seen
 from gfp_grasp.train.views import View, cached_views
 from gfp_grasp.transforms import apply_T, invert_T
 from gfp_grasp.types import FittedPrimitive, GenericPrimitive
@@ -157,7 +157,7 @@ def _label(view: View, config: FitConfig, num_modes: int, *, support: bool) -> t
         fit = fit_best(evidence, candidates, config=replace(config, hypotheses=(view.resting,)))
     except (FitDiverged, TooFewPoints):
         return None, "not fitted"
-    twin = fit.primitive.twin is not None and not handle_is_seen(fit, evidence)
+    twin = fit.primitive.twin is not None and not part_is_seen(fit, fit.primitive.spec.optional_parts[0].name, evidence)
     if twin:
         assert fit.primitive.twin is not None
         fit = replace(fit, primitive=fit.primitive.twin)
@@ -186,7 +186,7 @@ def _primitives_of(category: str, num_modes: int) -> tuple[GenericPrimitive, ...
             modes=primitive.modes[:count],
             explained=primitive.explained[:count],
             coefficient_samples=np.hstack([samples[:, :count], samples[:, -3:]]),
-            twin=None if primitive.twin is None else shortened(primitive.twin),
+            variants=tuple(replace(v, primitive=shortened(v.primitive)) for v in primitive.variants),
         )
 
     return tuple(shortened(primitive) for primitive in load_kinds(category))

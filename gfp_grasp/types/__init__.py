@@ -25,14 +25,14 @@ from gfp_grasp.types.observation import (
     SupportPlane,
 )
 from gfp_grasp.types.primitive import (
-    HANDLE,
+    BODY_REGIONS,
     INSIDE,
     OUTSIDE,
-    REGION_NAMES,
     ConvexPart,
     FittedPrimitive,
     GenericPrimitive,
     Symmetry,
+    Variant,
     default_spec,
 )
 from gfp_grasp.types.result import (
@@ -41,13 +41,12 @@ from gfp_grasp.types.result import (
 )
 
 __all__ = [
+    "BODY_REGIONS",
     "DATASETS",
-    "HANDLE",
     "INSIDE",
     "KEEP_RULES",
     "OUTSIDE",
     "REASONS",
-    "REGION_NAMES",
     "RESTS",
     "CategorySpec",
     "CollisionMesh",
@@ -65,5 +64,6 @@ __all__ = [
     "SupportPlane",
     "Symmetry",
     "TrueObject",
+    "Variant",
     "default_spec",
 ]

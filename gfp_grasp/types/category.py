@@ -33,7 +33,7 @@ class OptionalPart:
     keep: str = "seen"
 
     def __post_init__(self) -> None:
-        if not isinstance(self.name, str) or not self.name:
+        if not isinstance(self.name, str) or not self.name.isidentifier():
             raise InvalidOption(f"the name of an optional part is {self.name!r}; a region of the primitive is expected")
         if self.keep not in KEEP_RULES:
             raise InvalidOption(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -12,8 +12,9 @@ from gfp_grasp.errors import InvalidMesh, InvalidOption
 from gfp_grasp.types.arrays import checked_matrix, checked_vector, freeze
 from gfp_grasp.types.category import CategorySpec, OptionalPart, default_density
 
-OUTSIDE, INSIDE, HANDLE = 0, 1, 2
-REGION_NAMES = ("outside", "inside", "handle")
+# The first two regions of every primitive; parts of the body that stand apart from it, as handles, follow.
+OUTSIDE, INSIDE = 0, 1
+BODY_REGIONS = ("outside", "inside")
 # An open vessel has this share of its vertices inside at least; a lid that is sunk a little has less.
 _HOLLOW_SHARE = 0.08
 
@@ -55,6 +56,31 @@ class ConvexPart:
 
 
 @dataclass(frozen=True, eq=False)
+class Variant:
+    """A primitive without some of its optional parts: the holes that they leave are closed.
+
+    Attributes:
+        without: Names of the parts that are left out.
+        primitive: The body that is left; coefficients and scale of the whole primitive hold for it.
+        vertex_map: (w,) index of each of its vertices among those of the whole primitive.
+    """
+
+    without: tuple[str, ...]
+    primitive: GenericPrimitive
+    vertex_map: np.ndarray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "without", tuple(self.without))
+        vertex_map = np.asarray(self.vertex_map, dtype=np.int64)
+        if not self.without or vertex_map.shape != (len(self.primitive.vertices),):
+            raise InvalidMesh(
+                f"a variant without {self.without} has a vertex map of shape {vertex_map.shape}; names of parts and "
+                f"({len(self.primitive.vertices)},) are expected"
+            )
+        freeze(self, "vertex_map", vertex_map)
+
+
+@dataclass(frozen=True, eq=False)
 class GenericPrimitive:
     """The Generic Primitive (GP) of a class: a mean mesh with modes of shape.
 
@@ -72,13 +98,13 @@ class GenericPrimitive:
         coefficient_samples: (s, k + 3) coefficients and log scales of the members it was built from.
         symmetry: Rotation axis, order and mirror plane.
         up: (3,) upright axis, (0, 0, 1).
-        regions: (v,) uint8, OUTSIDE, INSIDE or HANDLE.
+        regions: (v,) uint8, index into `region_names`.
+        region_names: "outside", "inside", then the parts that stand out of the body, as "handle".
         parts: Convex parts of the mean mesh, in the same frame, p at the finest level.
         part_merges: (p - 1, 2) which of them become one first, see `collision.merging`; empty where that is not stored.
         part_errors_m: (p, 2) m, mean and 95 % distance between the mean mesh and its parts where 1 .. p are left; or
             empty.
-        twin: For a primitive with a handle, the same body without it; its vertices are the first `twin_map`.
-        twin_map: (v_twin,) index of each of the twin's vertices in `vertices`, or None.
+        variants: The same body without some of its optional parts, for each set of parts that it may lack.
         licence: Of the meshes it was built from.
         card: How it was built: command, seed, data, metrics.
         spec: What is known of the class beside its shape; None makes the default from the arrays above.
@@ -96,8 +122,8 @@ class GenericPrimitive:
     up: np.ndarray
     regions: np.ndarray
     parts: tuple[ConvexPart, ...] = ()
-    twin: GenericPrimitive | None = None
-    twin_map: np.ndarray | None = None
+    region_names: tuple[str, ...] = BODY_REGIONS
+    variants: tuple[Variant, ...] = ()
     licence: str = ""
     card: Mapping[str, object] = field(default_factory=dict)
     subcategory: str = ""
@@ -121,10 +147,14 @@ class GenericPrimitive:
         freeze(self, "coefficient_samples", np.asarray(self.coefficient_samples, dtype=np.float64))
         freeze(self, "up", checked_vector(self.up, 3, "up", InvalidMesh))
         freeze(self, "regions", np.asarray(self.regions, dtype=np.uint8))
+        object.__setattr__(self, "region_names", tuple(self.region_names))
+        if self.region_names[:2] != BODY_REGIONS or self.regions.max(initial=0) >= len(self.region_names):
+            raise InvalidMesh(
+                f"region_names are {self.region_names}, regions are up to {self.regions.max(initial=0)}; "
+                f"{BODY_REGIONS}, then a name for each part that regions point at, are expected"
+            )
         freeze(self, "part_merges", np.asarray(self.part_merges, dtype=np.int64))
         freeze(self, "part_errors_m", np.asarray(self.part_errors_m, dtype=np.float64))
-        if self.twin_map is not None:
-            freeze(self, "twin_map", np.asarray(self.twin_map, dtype=np.int64))
         prototypes = np.asarray(self.prototypes, dtype=np.float32)
         if prototypes.ndim != 2 or not np.isfinite(prototypes).all():
             raise InvalidMesh(f"prototypes have shape {prototypes.shape}; finite (p, c) is expected")
@@ -133,11 +163,40 @@ class GenericPrimitive:
             object.__setattr__(self, "spec", default_spec(self))
         elif self.spec.category != self.name:
             raise InvalidOption(f"the spec is of {self.spec.category!r}, the primitive is of {self.name!r}")
+        unknown = {part.name for part in self.spec.optional_parts} - set(self.region_names[2:])
+        if unknown:
+            raise InvalidOption(
+                f"optional parts {sorted(unknown)} of {self.name} are no regions of it; "
+                f"it has {', '.join(self.region_names[2:]) or 'none beside its body'}"
+            )
 
     @property
     def name(self) -> str:
         """Class and subcategory, as "class.subcategory"; the class alone where it is the class itself."""
         return f"{self.category}.{self.subcategory}" if self.subcategory else self.category
+
+    def on_region(self, name: str) -> np.ndarray:
+        """(v,) bool, the vertices of a region; none where the primitive has no region of that name."""
+        if name not in self.region_names:
+            return np.zeros(len(self.vertices), dtype=bool)
+        return self.regions == self.region_names.index(name)
+
+    @property
+    def on_part(self) -> np.ndarray:
+        """(v,) bool, the vertices of all parts that stand out of the body."""
+        return self.regions >= len(BODY_REGIONS)
+
+    def without(self, parts: Iterable[str]) -> GenericPrimitive | None:
+        """The same body without some of its optional parts, itself for no part; None where that is not stored."""
+        wanted = set(parts)
+        if not wanted:
+            return self
+        return next((variant.primitive for variant in self.variants if set(variant.without) == wanted), None)
+
+    @property
+    def twin(self) -> GenericPrimitive | None:
+        """The body without any optional part; None where it has no such part."""
+        return max(self.variants, key=lambda variant: len(variant.without)).primitive if self.variants else None
 
     def shape(self, coefficients: np.ndarray, scale: np.ndarray) -> np.ndarray:
         """Vertices (v, 3) m in the primitive's frame for (k,) coefficients and (3,) scale."""
@@ -162,7 +221,7 @@ def default_spec(primitive: GenericPrimitive) -> CategorySpec:
         size_range_m=(tuple(extents.min(axis=0)), tuple(extents.max(axis=0))),
         hollow=hollow,
         density_kg_m3=default_density(hollow=hollow),
-        optional_parts=(OptionalPart("handle"),) if (primitive.regions == HANDLE).any() else (),
+        optional_parts=tuple(OptionalPart(name) for name in primitive.region_names[2:]),
     )
 
 

@@ -1,4 +1,4 @@
-"""Fitting a primitive to a whole surface: how much of a class its modes can express."""
+"""Fitting a primitive to a full surface: how much of a class its modes can express."""
 
 from __future__ import annotations
 
@@ -9,7 +9,6 @@ import numpy as np
 import trimesh
 from scipy.spatial import KDTree
 
-from gfp_grasp.errors import InvalidOption
 from gfp_grasp.meshes import vertex_normals
 from gfp_grasp.primitives.surface import Surface, surface_distance_m
 from gfp_grasp.transforms import rotation_about
@@ -19,29 +18,14 @@ _COMPATIBLE = 0.5
 # Distances above this count by their length, below it by their square.
 _HUBER_M = 0.0005
 _UP = np.array([0.0, 0.0, 1.0])
-
-
-@dataclass(frozen=True)
-class WholeConfig:
-    """How a primitive is fitted to a complete, upright surface.
-
-    Attributes:
-        yaw_step_deg: Starts are this far apart, over the angle that the symmetry leaves open.
-        iterations: Gauss-Newton steps of the best start.
-        trial_iterations: Steps of each start before the best is chosen.
-        noise_m: What a coefficient of one is weighed against; small means weak priors.
-        num_samples: Samples of the surface that look back at the model.
-    """
-
-    yaw_step_deg: float = 45.0
-    iterations: int = 40
-    trial_iterations: int = 8
-    noise_m: float = 0.0003
-    num_samples: int = 2500
-
-    def __post_init__(self) -> None:
-        if not (self.yaw_step_deg > 0 and self.iterations >= 1 and self.trial_iterations >= 1 and self.noise_m > 0):
-            raise InvalidOption(f"{self}: all values must be positive")
+# Starts are this far apart, over the angle that the symmetry leaves open.
+_YAW_STEP_RAD = np.radians(45.0)
+# Gauss-Newton steps of each start before the best is chosen, and of the best.
+_TRIAL_STEPS, _STEPS = 8, 40
+# What a coefficient of one is weighed against; small makes the priors weak.
+_NOISE_M = 0.0003
+# Samples of the surface that look back at the model.
+_NUM_SAMPLES = 2500
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,16 +39,13 @@ class _State:
         return primitive.shape(self.coefficients, np.exp(self.log_scale)) @ self.R.T + self.t
 
 
-def fit_whole_surface(
-    primitive: GenericPrimitive, mesh: trimesh.Trimesh, *, config: WholeConfig = WholeConfig(), seed: int = 0
-) -> tuple[np.ndarray, float]:
-    """Fit pose, scale and modes to all of an upright object's surface, by point-to-plane least squares both ways.
+def fit_full_surface(primitive: GenericPrimitive, mesh: trimesh.Trimesh, *, seed: int = 0) -> tuple[np.ndarray, float]:
+    """Fit pose, scale and modes to the full surface of an upright object, by point-to-plane least squares both ways.
 
     Args:
-        primitive: Of the object's class.
+        primitive: Primitive of the object's class.
         mesh: The object, m, z up; yaw and place are free.
-        config: How.
-        seed: For the samples.
+        seed: Seed of the samples.
 
     Returns:
         Fitted vertices (v, 3) m in the mesh's frame, and the mean distance between the two surfaces, m, from each to
@@ -73,20 +54,20 @@ def fit_whole_surface(
     rng = np.random.default_rng(seed)
     surface = Surface(mesh, rng)
     starts = []
-    for yaw in _yaws(primitive, config):
-        state, cost = _descend(primitive, _start(primitive, surface, yaw), surface, config, config.trial_iterations)
+    for yaw in _yaws(primitive):
+        state, cost = _descend(primitive, _start(primitive, surface, yaw), surface, _TRIAL_STEPS)
         starts.append((cost, state))
     best = min(starts, key=lambda pair: pair[0])[1]
-    state, _ = _descend(primitive, best, surface, config, config.iterations)
+    state, _ = _descend(primitive, best, surface, _STEPS)
     vertices = state.vertices(primitive)
     return vertices, surface_distance_m(mesh, trimesh.Trimesh(vertices, primitive.faces, process=False), seed=seed)
 
 
-def _yaws(primitive: GenericPrimitive, config: WholeConfig) -> np.ndarray:
+def _yaws(primitive: GenericPrimitive) -> np.ndarray:
     if math.isinf(primitive.symmetry.order):
         return np.zeros(1)
     turn = 2 * np.pi / primitive.symmetry.order
-    return np.arange(0, turn - 1e-9, min(np.radians(config.yaw_step_deg), turn))
+    return np.arange(0, turn - 1e-9, min(_YAW_STEP_RAD, turn))
 
 
 def _start(primitive: GenericPrimitive, surface: Surface, yaw: float) -> _State:
@@ -99,11 +80,9 @@ def _start(primitive: GenericPrimitive, surface: Surface, yaw: float) -> _State:
     return _State(R, R @ (low - scale * own_low), np.log(scale), np.zeros(len(primitive.modes)))
 
 
-def _descend(
-    primitive: GenericPrimitive, state: _State, surface: Surface, config: WholeConfig, iterations: int
-) -> tuple[_State, float]:
+def _descend(primitive: GenericPrimitive, state: _State, surface: Surface, iterations: int) -> tuple[_State, float]:
     diagonal = float(np.linalg.norm(np.ptp(surface.points, axis=0)))
-    back = slice(None, None, max(1, len(surface.points) // config.num_samples))
+    back = slice(None, None, max(1, len(surface.points) // _NUM_SAMPLES))
     points, normals = surface.points[back], surface.normals[back]
     cost = np.inf
     for step in range(iterations):
@@ -124,11 +103,11 @@ def _descend(
         # Huber's weights: what counts is the mean distance, and scans have bulges that no member of the class has.
         height = np.abs((plane * offset).sum(axis=1))
         robust = share * np.minimum(1.0, _HUBER_M / np.maximum(height, 1e-9))
-        state = _step(primitive, state, rows, plane, offset, robust, config)
+        state = _step(primitive, state, rows, plane, offset, robust)
     return state, cost
 
 
-def _step(primitive: GenericPrimitive, state: _State, rows, plane, offset, share, config: WholeConfig) -> _State:
+def _step(primitive: GenericPrimitive, state: _State, rows, plane, offset, share) -> _State:
     """One Gauss-Newton step on rotation, translation, log scale and coefficients."""
     scale = np.exp(state.log_scale)
     shaped = (primitive.vertices + np.tensordot(state.coefficients, primitive.modes, 1))[rows] * scale
@@ -144,8 +123,8 @@ def _step(primitive: GenericPrimitive, state: _State, rows, plane, offset, share
     )
     residual = (plane * offset).sum(axis=1)
     prior = np.zeros(jacobian.shape[1])
-    prior[9:] = config.noise_m**2
-    prior[6:9] = config.noise_m**2
+    prior[9:] = _NOISE_M**2
+    prior[6:9] = _NOISE_M**2
     pull = prior * np.concatenate([np.zeros(6), state.log_scale, state.coefficients])
     damping = 1e-9 + 1e-6 * np.diag((jacobian * share[:, None]).T @ jacobian)
     gram = (jacobian * share[:, None]).T @ jacobian + np.diag(prior + damping)

@@ -1,4 +1,4 @@
-"""The same body without its handle: the handle's vertices go, the holes that it leaves are closed by triangles."""
+"""The same body without a part: the vertices of the part go, and triangles close the holes that it leaves."""
 
 from __future__ import annotations
 
@@ -7,28 +7,26 @@ import trimesh
 
 from gfp_grasp.errors import BuildFailed
 from gfp_grasp.meshes import crossing_faces
-from gfp_grasp.types import HANDLE
 
 _MAX_GROWTH = 5
 
 
-def without_handle(vertices: np.ndarray, faces: np.ndarray, regions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Cut the handle off.
+def without_part(vertices: np.ndarray, faces: np.ndarray, part: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Cut a part off.
 
     Args:
         vertices: (v, 3) m.
         faces: (f, 3), closed.
-        regions: (v,) with HANDLE where the handle is.
+        part: (v,) bool, the vertices of the part.
 
     Returns:
         Index of the vertices that stay (w,), and the faces (g, 3) over them: watertight, outward, without crossings.
 
     Raises:
-        BuildFailed: No cut near the handle leaves simple holes that triangles close cleanly.
+        BuildFailed: No cut near the part leaves simple holes that triangles close cleanly.
     """
-    handle = regions == HANDLE
     for _ in range(_MAX_GROWTH + 1):
-        faces_left = faces[~handle[faces].any(axis=1)]
+        faces_left = faces[~part[faces].any(axis=1)]
         loops = _loops(faces_left)
         if loops is not None:
             body = np.vstack([faces_left, *[_fill(vertices, loop) for loop in loops]])
@@ -37,11 +35,9 @@ def without_handle(vertices: np.ndarray, faces: np.ndarray, regions: np.ndarray)
             mesh = trimesh.Trimesh(vertices[kept], body, process=False)
             if mesh.is_volume and mesh.body_count == 1 and not len(crossing_faces(vertices[kept], body)):
                 return kept, body
-        handle = handle.copy()
-        handle[faces[handle[faces].any(axis=1)]] = True  # one ring wider, and again
-    raise BuildFailed(
-        "the handle cannot be cut off cleanly: the mean mesh has its attachment too near to the rim or base"
-    )
+        part = part.copy()
+        part[faces[part[faces].any(axis=1)]] = True  # one ring wider, and again
+    raise BuildFailed("the part cannot be cut off cleanly: on the mean mesh it is attached too near to the rim or base")
 
 
 def _loops(faces: np.ndarray) -> list[list[int]] | None:

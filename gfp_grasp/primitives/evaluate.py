@@ -10,7 +10,7 @@ import trimesh
 
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.primitives.build import Progress
-from gfp_grasp.primitives.whole import fit_whole_surface
+from gfp_grasp.primitives.full_fit import fit_full_surface
 from gfp_grasp.types import GenericPrimitive
 
 _NUM_DRAWN = 200
@@ -21,10 +21,10 @@ class PrimitiveReport:
     """Figures of one primitive.
 
     Attributes:
-        vertices: Of the mean mesh.
-        modes: Kept.
+        vertices: Number of vertices of the mean mesh.
+        modes: Number of modes.
         variance_kept: Share of the variance that the modes explain, after scale.
-        held_out: Members that the generalization error was measured on.
+        held_out: Number of members that the generalization error was measured on.
         generalization_mm: Mean surface distance of the held-out members to their best fits.
         generalization_median_mm: Median of the same.
         generalization_worst_mm: Largest of the same.
@@ -69,7 +69,7 @@ def measure_primitive(
         raise InvalidOption("no held-out member was given: generalization cannot be measured")
     watch = progress or (lambda stream, total: stream)
     errors = 1e3 * np.array(
-        list(watch((fit_whole_surface(primitive, mesh, seed=seed)[1] for mesh in held_out), len(held_out)))
+        list(watch((fit_full_surface(primitive, mesh, seed=seed)[1] for mesh in held_out), len(held_out)))
     )
     return PrimitiveReport(
         vertices=len(primitive.vertices),

@@ -1,4 +1,4 @@
-"""What the parts of a primitive are: outside, inside and handle, and which symmetry it has."""
+"""Regions of a primitive, outside, inside and a handle, and its symmetry."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ import trimesh
 from gfp_grasp.meshes import vertex_normals
 from gfp_grasp.primitives.surface import Surface
 from gfp_grasp.transforms import rotation_about
-from gfp_grasp.types import HANDLE, INSIDE, OUTSIDE, Symmetry
+from gfp_grasp.types import BODY_REGIONS, INSIDE, OUTSIDE, Symmetry
 
 _UP = np.array([0.0, 0.0, 1.0])
 # Rays per vertex that look for a way out to the side or downwards.
 _NUM_DIRECTIONS = 64
-# What stands out of the body by more than this share of the diagonal is handle.
+# What stands out of the body by more than this share of the diagonal is a handle.
 _STAND_OUT = 0.012
 # Turns that tell a body of revolution from one of any small order.
 _ODD_TURNS = np.radians([17.0, 37.0, 61.0])
@@ -24,17 +24,22 @@ _ORDERS = (6, 5, 4, 3, 2)
 _FAR = 4.0
 
 
-def label_regions(mesh: trimesh.Trimesh) -> np.ndarray:
-    """OUTSIDE, INSIDE or HANDLE for each vertex (v,) uint8 of an upright mesh, its handle (if any) towards +x.
+def label_regions(mesh: trimesh.Trimesh) -> tuple[np.ndarray, tuple[str, ...]]:
+    """Regions of an upright mesh, whose handle, if it has one, points towards +x.
 
-    INSIDE: no ray that leaves the vertex sideways or downwards gets away, so it is reached through the opening only.
-    HANDLE: on a mesh with a hole through it, what lies outside of the body's mirror image from the side without one.
+    A vertex is inside where no ray that leaves it sideways or downwards gets away: it is reached through the opening
+    only. On a mesh with a hole through it, the handle is what lies outside of the mirror image of the body's other
+    side.
+
+    Returns:
+        (v,) uint8, index of each vertex's region, and the names of the regions.
     """
     regions = np.full(len(mesh.vertices), OUTSIDE, dtype=np.uint8)
     regions[enclosed(mesh)] = INSIDE
-    if mesh.euler_number <= 0:
-        regions[_stands_out(mesh, regions)] = HANDLE
-    return regions
+    if mesh.euler_number > 0:
+        return regions, BODY_REGIONS
+    regions[_stands_out(mesh, regions)] = len(BODY_REGIONS)
+    return regions, (*BODY_REGIONS, "handle") if regions.max() >= len(BODY_REGIONS) else BODY_REGIONS
 
 
 def enclosed(mesh: trimesh.Trimesh) -> np.ndarray:
@@ -73,7 +78,7 @@ def _stands_out(mesh: trimesh.Trimesh, regions: np.ndarray) -> np.ndarray:
 
 
 def _largest_piece(chosen: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """Of the chosen vertices (v,) bool, those of the largest connected piece."""
+    """Those of the chosen vertices (v,) bool that are in their largest connected piece."""
     inside = edges[chosen[edges].all(axis=1)]
     pieces = trimesh.graph.connected_components(inside, nodes=np.flatnonzero(chosen))
     result = np.zeros_like(chosen)
@@ -91,7 +96,7 @@ def detect_symmetry(
         meshes: Members in the primitive's frame; one is enough.
         rng: For the samples that are turned.
         tolerance: Mean distance of the turned surface from the surface, as a share of the diagonal.
-        share: Of the members that must have it.
+        share: Share of the members that must have it.
 
     Returns:
         Axis z; order inf, 6 to 2, or 1; normal of a vertical mirror plane, (0, 1, 0) where that one fits, or None.
