@@ -8,12 +8,12 @@ from scipy.spatial import KDTree
 from toy_wedge import UP, camera_at, positions, toy_evidence, wedge_primitive, wedge_state
 
 from gfp_grasp.clouds import estimate_normals, thin
-from gfp_grasp.register import gather_evidence, handle_is_seen
+from gfp_grasp.register import gather_evidence, part_is_seen
 from gfp_grasp.register.occlusion import cut_off
 from gfp_grasp.register.surface import surface_samples
 from gfp_grasp.transforms import apply_T, invert_T, make_T, rotation_between
 from gfp_grasp.types import (
-    HANDLE,
+    BODY_REGIONS,
     DepthImage,
     Detection,
     FittedPrimitive,
@@ -284,29 +284,31 @@ def test_a_ball_has_no_straight_edge():
 def test_a_handle_is_seen_where_enough_points_lie_on_it_and_off_the_body():
     primitive = wedge_primitive()
     x = primitive.vertices[:, 0]
-    primitive = replace(primitive, regions=np.where(x > 0.06, HANDLE, 0).astype(np.uint8))
+    primitive = replace(
+        primitive, regions=np.where(x > 0.06, 2, 0).astype(np.uint8), region_names=(*BODY_REGIONS, "handle"), spec=None
+    )
     state = wedge_state()
     fit = FittedPrimitive(
         primitive, make_T(state.R, state.t), np.exp(state.log_scale), state.coefficients, residual_m=0.001
     )
     samples = surface_samples(primitive)
     world = state.world(samples.local(state.coefficients))
-    held = (primitive.regions[primitive.faces[samples.face]] == HANDLE).all(axis=1)
+    held = (primitive.on_region("handle")[primitive.faces[samples.face]]).all(axis=1)
     off_body = np.flatnonzero(held & (KDTree(world[~held]).query(world)[0] > 0.012))
     near_body = np.flatnonzero(held & (KDTree(world[~held]).query(world)[0] < 0.004))
     body = world[~held][:200]
     normal = UP
 
     def seen(points) -> bool:
-        return handle_is_seen(fit, toy_evidence(np.concatenate([body, points])))
+        return part_is_seen(fit, "handle", toy_evidence(np.concatenate([body, points])))
 
     assert seen(world[off_body[:6]] + 0.006 * normal)
     assert not seen(world[off_body[:5]])
     assert not seen(world[near_body[:50]])
     assert not seen(world[off_body[:50]] + 0.05 * normal)
-    for regions in (np.zeros(len(x)), np.full(len(x), HANDLE)):
+    for regions in (np.zeros(len(x)), np.full(len(x), 2)):
         bare = replace(fit, primitive=replace(primitive, regions=regions.astype(np.uint8)))
-        assert not handle_is_seen(bare, toy_evidence(world))
+        assert not part_is_seen(bare, "handle", toy_evidence(world))
 
 
 # ---- samples of the surface
