@@ -4,15 +4,14 @@ from typing import Any
 
 import pytest
 
-from gfp_grasp.bench.completion import CompletionBench, bench_completion
-from gfp_grasp.bench.paper import table_one
-from gfp_grasp.bench.summary import paired_gain
+from gfp_grasp.bench import CompletionConfig, bench_completion
+from gfp_grasp.bench.rows import CompletionRow, paired_gain, table_one
 from gfp_grasp.errors import InvalidOption
 
 
 def test_bench_measures_every_method_on_every_view_and_pairs_them_with_the_undeformed_fit():
     methods = ("partial", "registration", "gfs")
-    report = bench_completion("bottle", methods=methods, config=CompletionBench(views=2, limit=1))
+    report = bench_completion("bottle", methods=methods, config=CompletionConfig(views=2, limit=1))
     rows: Any = report["rows"]
     paired: Any = report["paired"]
     assert set(rows) == {"bottle", "all"}
@@ -26,8 +25,8 @@ def test_bench_measures_every_method_on_every_view_and_pairs_them_with_the_undef
 
 
 def test_pairs_tell_gain_interval_and_wins():
-    def row(name: str, view: int, method: str, cd_m: float | None) -> dict:
-        return {"object": name, "view": view, "method": method, "cd_m": cd_m}
+    def row(name: str, view: int, method: str, cd_m: float | None) -> CompletionRow:
+        return CompletionRow(object=name, category="cup", view=view, method=method, ms=1.0, cd_m=cd_m, f_score=0.9)
 
     rows = [
         row("a", 0, "registration", 0.004),
@@ -47,19 +46,19 @@ def test_pairs_tell_gain_interval_and_wins():
 
 
 def test_a_bench_goes_on_where_an_earlier_one_of_the_same_settings_was_stopped():
-    config = CompletionBench(views=1, limit=1)
+    config = CompletionConfig(views=1, limit=1)
     first: Any = bench_completion("bottle", methods=("partial", "registration"), config=config)
     more: Any = bench_completion("bottle", methods=("gfs",), config=config, known=first)
     assert list(more["rows"]["bottle"]) == ["partial", "registration", "gfs"]
     assert more["trials"][:2] == first["trials"]
     other: Any = bench_completion(
-        "bottle", methods=("partial",), config=CompletionBench(1, seed=1, limit=1), known=first
+        "bottle", methods=("partial",), config=CompletionConfig(1, seed=1, limit=1), known=first
     )
     assert len(other["trials"]) == 1
 
 
 def test_the_papers_table_stands_beside_the_same_methods_here():
-    table = table_one({"cup": {"pcrnet": {"cd_m": 0.02}, "pcrnet-gfs-sized": {"cd_m": 0.004}}})
+    table = table_one({"cup": {"told-pcrnet": {"cd_m": 0.02}, "told-pcrnet-gfs-sized": {"cd_m": 0.004}}})
     assert table["PCRNet"]["cup"] == {"paper_m": 0.109, "rigid_m": 0.02, "sized_m": None}
     assert table["GFS"]["cup"]["sized_m"] == 0.004
     assert table["GFPNet"]["bottle"] == {"paper_m": 0.009, "rigid_m": None, "sized_m": None}

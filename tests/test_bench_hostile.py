@@ -12,7 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from gfp_grasp.bench import hostile
-from gfp_grasp.bench.hostile import BAD, HostileBench, attempt, bench_hostile
+from gfp_grasp.bench.hostile import BAD, HostileConfig, HostileRow, bench_hostile, measure_mesh
 from gfp_grasp.bench.hostile_meshes import KINDS, hostile_mesh
 from gfp_grasp.cli import main
 from gfp_grasp.collision import hull
@@ -43,21 +43,21 @@ def test_the_same_number_is_the_same_mesh_and_another_is_another():
 def test_what_is_no_mesh_is_refused_by_name_before_any_work(kind: str):
     number = tuple(KINDS).index(kind)
     for step in ("validate", "decompose"):
-        trial = attempt(step, number, seed=0)
-        assert (trial["outcome"], trial["kind"]) == ("InvalidMesh", kind)
-        assert trial["s"] < 1  # type: ignore[operator]
+        row = measure_mesh(step, number, seed=0)
+        assert (row.outcome, row.kind) == ("InvalidMesh", kind)
+        assert row.s < 1
 
 
 @pytest.mark.parametrize("kind", [kind for kind in KINDS if kind not in SLOW])
 def test_every_kind_is_valid_or_refused_by_name(kind: str):
     for number in range(tuple(KINDS).index(kind), 4 * len(KINDS), len(KINDS)):
-        assert attempt("validate", number, seed=1)["outcome"] in ("valid", "InvalidMesh")
+        assert measure_mesh("validate", number, seed=1).outcome in ("valid", "InvalidMesh")
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("kind", KINDS)
 def test_every_kind_is_decomposed_or_refused_by_name(kind: str):
-    outcome = attempt("decompose", tuple(KINDS).index(kind), seed=2)["outcome"]
+    outcome = measure_mesh("decompose", tuple(KINDS).index(kind), seed=2).outcome
     assert outcome in ("valid", "InvalidMesh", "DecompositionFailed")
 
 
@@ -170,12 +170,12 @@ def test_parts_that_are_not_convex_not_finite_or_crumbs_are_told():
 
 def test_a_mistake_of_ours_is_a_crash_and_a_wrong_result_is_invalid(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(hostile, "check_mesh", lambda mesh: 1 / 0)
-    trial = attempt("validate", 0, seed=0)
-    assert (trial["outcome"], trial["why"]) == ("crash", "ZeroDivisionError: division by zero")
+    row = measure_mesh("validate", 0, seed=0)
+    assert (row.outcome, row.why) == ("crash", "ZeroDivisionError: division by zero")
     monkeypatch.setattr(hostile, "check_mesh", lambda mesh: mesh)
     halved = trimesh.creation.box().slice_plane((0, 0, 0), (0, 0, 1))
     monkeypatch.setattr(hostile, "make_solid", lambda mesh: (halved, 0.0))
-    assert attempt("validate", 0, seed=0)["outcome"] == "invalid"
+    assert measure_mesh("validate", 0, seed=0).outcome == "invalid"
 
 
 @pytest.mark.slow
@@ -183,7 +183,7 @@ def test_crashes_and_hangs_of_a_process_are_figures_and_the_rest_goes_on(monkeyp
     monkeypatch.setattr(hostile, "_work", _crash_and_hang)
     monkeypatch.setattr(hostile, "_VALIDATION_LIMIT_S", 1.0)
     monkeypatch.setattr(hostile, "_MARGIN_S", 0.0)
-    report: Any = bench_hostile(config=HostileBench(4, 0), workers=2)
+    report: Any = bench_hostile(config=HostileConfig(4, 0), workers=2)
     assert report["bad"] == {"crash": 1, "hang": 1, "invalid": 0, "zombie": 0}
     assert report["outcomes"]["validate"] == {"crash": 1, "hang": 1, "valid": 2}
 
@@ -202,10 +202,10 @@ def _crash_and_hang(pipe: Any, seed: int) -> None:
             os.abort()
         if number == 2:
             time.sleep(60)
-        pipe.send({"step": step, "number": number, "kind": tuple(KINDS)[number], "outcome": "valid", "s": 0.0})
+        pipe.send(HostileRow(step=step, number=number, kind=tuple(KINDS)[number], outcome="valid", s=0.0))
 
 
-def test_a_run_that_was_stopped_goes_on_with_the_trials_it_lacks(tmp_path: Path):
+def test_a_run_that_was_stopped_goes_on_with_the_rows_it_lacks(tmp_path: Path):
     file = tmp_path / "hostile.json"
     words = ["bench", "hostile", "--coacd", "1", "--json", str(file)]
     codes = []
@@ -219,10 +219,10 @@ def test_a_run_that_was_stopped_goes_on_with_the_trials_it_lacks(tmp_path: Path)
     assert sum(report["bad"][name] for name in BAD) == 0
     assert len(report["trials"]) == 7
     report["trials"][3] |= {"outcome": "crash", "why": "a mistake that has been mended"}
-    mended: Any = bench_hostile(config=HostileBench(6, 1), known=report)
+    mended: Any = bench_hostile(config=HostileConfig(6, 1), known=report)
     assert mended["bad"]["crash"] == 0
     report["trials"][3] = mended["trials"][3]
-    again: Any = bench_hostile(config=HostileBench(6, 1), known=report, progress=_none)
+    again: Any = bench_hostile(config=HostileConfig(6, 1), known=report, progress=_none)
     assert again["trials"] == report["trials"]
 
 
@@ -241,7 +241,7 @@ def test_the_exit_status_tells_of_what_went_wrong(monkeypatch: pytest.MonkeyPatc
 
 def test_negative_counts_are_refused():
     with pytest.raises(InvalidOption):
-        HostileBench(-1, 0)
+        HostileConfig(-1, 0)
     with pytest.raises(InvalidOption, match="workers"):
         bench_hostile(workers=0)
 

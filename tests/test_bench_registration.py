@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gfp_grasp.bench.registration import RegistrationBench, _errors, bench_registration
+from gfp_grasp.bench.registration import RegistrationConfig, _errors, bench_registration
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.primitives import load_primitive
 from gfp_grasp.train.views import render_views, shape_source
@@ -28,7 +28,7 @@ def test_turn_and_shift_of_a_fit_are_its_errors() -> None:
 
 @pytest.mark.slow
 def test_every_class_is_fitted_and_counted() -> None:
-    report = bench_registration(starts=("box",), config=RegistrationBench(views=1, limit=1))
+    report = bench_registration(starts=("box",), config=RegistrationConfig(views=1, limit=1))
     rows = report["rows"]
     assert isinstance(rows, dict)
     assert set(rows) == {"cup", "mug", "bottle", "all"}
@@ -40,4 +40,4 @@ def test_unknown_start_and_no_views_are_refused() -> None:
     with pytest.raises(InvalidOption, match="box"):
         bench_registration(starts=("luck",))
     with pytest.raises(InvalidOption, match="views"):
-        RegistrationBench(views=0)
+        RegistrationConfig(views=0)

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from gfp_grasp.bench.ablation import AblationConfig, bench_ablation
-from gfp_grasp.bench.completion import CompletionBench, bench_completion
+from gfp_grasp.bench.completion import CompletionConfig, bench_completion
 from gfp_grasp.bench.methods import BRIEF, METHODS, config_of
 from gfp_grasp.bench.speed import SIZES, bench_speed
 from gfp_grasp.bench.stability import bench_stability
-from gfp_grasp.bench.views import PROTOCOLS, in_sight, see
+from gfp_grasp.bench.views import PROTOCOLS, in_sight, view_object
 from gfp_grasp.drawing import write_bars, write_curves
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.meshes import sample_surface
@@ -21,12 +21,12 @@ from gfp_grasp.shapes import make_shape
 
 def test_protocols_show_the_same_object_as_they_say():
     mesh = make_shape("bottle", 3).mesh
-    sights = {name: see(mesh, np.random.default_rng(4), protocol=name) for name in PROTOCOLS}
+    sights = {name: view_object(mesh, np.random.default_rng(4), protocol=name) for name in PROTOCOLS}
     points = {name: len(sight.cloud.points) for name, sight in sights.items()}
     assert 0.4 * points["standard"] < points["hidden"] < 0.6 * points["standard"]
     tall = {name: float(np.ptp(sight.mesh.vertices[:, 2])) for name, sight in sights.items()}
     assert tall["standard"] == pytest.approx(tall["noisy"]) == pytest.approx(np.ptp(mesh.vertices[:, 2]))
-    turned = [see(mesh, np.random.default_rng(i), protocol="fallen").T_world_object[2, 2] for i in range(12)]
+    turned = [view_object(mesh, np.random.default_rng(i), protocol="fallen").T_world_object[2, 2] for i in range(12)]
     assert {round(float(z)) for z in turned} == {-1, 0}  # upside down, and lying
     for sight in sights.values():  # all of the cloud belongs to the object, within the noise
         extent = np.ptp(sight.mesh.vertices, axis=0)
@@ -34,7 +34,7 @@ def test_protocols_show_the_same_object_as_they_say():
 
 
 def test_points_behind_the_object_are_not_in_sight():
-    sight = see(make_shape("bottle", 3).mesh, np.random.default_rng(4))
+    sight = view_object(make_shape("bottle", 3).mesh, np.random.default_rng(4))
     points, normals, _ = sample_surface(sight.mesh, 2000, np.random.default_rng(0))
     viewpoint = sight.cloud.viewpoint
     assert viewpoint is not None
@@ -44,13 +44,13 @@ def test_points_behind_the_object_are_not_in_sight():
 
 
 def test_every_method_has_a_config_or_needs_none():
-    sight = see(make_shape("mug", 3).mesh, np.random.default_rng(4))
+    sight = view_object(make_shape("mug", 3).mesh, np.random.default_rng(4))
     assert len(METHODS) == len(set(METHODS))
     assert set(BRIEF) <= set(METHODS)
     for name in METHODS:
-        if name not in ("partial", "hull", "mirror"):
+        if name not in ("partial", "observed", "mirror"):
             config, tells_class = config_of(name, sight, "mug")
-            assert tells_class == name.startswith(("icp", "pcrnet"))
+            assert tells_class == name.startswith("told-")
             assert (config.fit.size not in (None, (1.0, 1.0, 1.0))) == name.endswith("-sized")
     off = config_of("gfpnet-no-modes")[0].fit
     assert not off.quick.estimate_modes
@@ -59,13 +59,13 @@ def test_every_method_has_a_config_or_needs_none():
 
 
 def test_rows_say_whether_observed_and_sigma_are_honest():
-    report: Any = bench_completion("cup", methods=("registration",), config=CompletionBench(views=2, limit=1))
+    report: Any = bench_completion("cup", methods=("registration",), config=CompletionConfig(views=2, limit=1))
     row = report["rows"]["all"]["registration"]
     for name in ("seen_precision", "seen_recall", "two_sigma", "iou", "f_score"):
         assert 0 < row[name] <= 1, name
     assert -1 <= row["sigma_rank"] <= 1
     with pytest.raises(InvalidOption, match="hidden"):
-        CompletionBench(protocol="upside")
+        CompletionConfig(protocol="upside")
 
 
 def test_charts_are_drawings_with_every_row(tmp_path: Path):

@@ -7,7 +7,7 @@ import trimesh
 
 from gfp_grasp.bench.hollow import bench_hollow
 from gfp_grasp.bench.vessels import Inside, drop_marble, handle_hole, hangs, inside_of, tilt_deg
-from gfp_grasp.bench.views import see
+from gfp_grasp.bench.views import view_object
 from gfp_grasp.collision import DecomposeConfig, decompose, hull
 from gfp_grasp.complete import complete_to_mesh
 from gfp_grasp.completion import Completion
@@ -39,7 +39,7 @@ def of_kind(category: str, kind: str) -> trimesh.Trimesh:
 
 def completed(mesh: trimesh.Trimesh, seed: int = 0) -> tuple[Completion, trimesh.Trimesh]:
     """What one view of a mesh is completed to, and the mesh where it was seen."""
-    sight = see(mesh, np.random.default_rng(seed))
+    sight = view_object(mesh, np.random.default_rng(seed))
     return complete_to_mesh(sight.cloud.points, viewpoint=sight.cloud.viewpoint), sight.mesh
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from gfp_grasp.bench.views import see
+from gfp_grasp.bench.views import view_object
 from gfp_grasp.detect import detect_single
 from gfp_grasp.observation import canonical_frame
 from gfp_grasp.primitives import load_kinds, load_primitive
@@ -23,7 +23,7 @@ from gfp_grasp.shapes import make_shape, split_seeds
 
 def _detection(category: str, index: int = 0, *, protocol: str = "standard", seed: int = 0):
     mesh = make_shape(category, split_seeds(category, "val")[index]).mesh
-    cloud = see(mesh, np.random.default_rng(seed), protocol=protocol).cloud
+    cloud = view_object(mesh, np.random.default_rng(seed), protocol=protocol).cloud
     found = detect_single(cloud.points, viewpoint=cloud.viewpoint, category=category)
     return canonical_frame(found)[0]
 

@@ -1,0 +1,70 @@
+"""Benches: the figures of the README and of docs/, each measured by one function and written as JSON.
+
+A bench loads what it measures, networks and simulator among it, when it is first asked for.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from gfp_grasp.bench.ablation import AblationConfig, bench_ablation
+    from gfp_grasp.bench.collision import METHODS as PARTS_METHODS
+    from gfp_grasp.bench.collision import bench_collision
+    from gfp_grasp.bench.completion import CompletionConfig, bench_completion
+    from gfp_grasp.bench.detection import bench_detection
+    from gfp_grasp.bench.hollow import bench_hollow
+    from gfp_grasp.bench.hostile import HostileConfig, bench_hostile
+    from gfp_grasp.bench.methods import BRIEF, METHODS
+    from gfp_grasp.bench.registration import RegistrationConfig, bench_registration
+    from gfp_grasp.bench.speed import bench_resets, bench_speed
+    from gfp_grasp.bench.stability import bench_stability
+    from gfp_grasp.bench.trial import bench_trial
+
+_HOMES = {
+    "BRIEF": ("methods", "BRIEF"),
+    "METHODS": ("methods", "METHODS"),
+    "PARTS_METHODS": ("collision", "METHODS"),
+    "AblationConfig": ("ablation", "AblationConfig"),
+    "CompletionConfig": ("completion", "CompletionConfig"),
+    "HostileConfig": ("hostile", "HostileConfig"),
+    "RegistrationConfig": ("registration", "RegistrationConfig"),
+    "bench_ablation": ("ablation", "bench_ablation"),
+    "bench_collision": ("collision", "bench_collision"),
+    "bench_completion": ("completion", "bench_completion"),
+    "bench_detection": ("detection", "bench_detection"),
+    "bench_hollow": ("hollow", "bench_hollow"),
+    "bench_hostile": ("hostile", "bench_hostile"),
+    "bench_registration": ("registration", "bench_registration"),
+    "bench_resets": ("speed", "bench_resets"),
+    "bench_speed": ("speed", "bench_speed"),
+    "bench_stability": ("stability", "bench_stability"),
+    "bench_trial": ("trial", "bench_trial"),
+}
+
+__all__ = [
+    "BRIEF",
+    "METHODS",
+    "PARTS_METHODS",
+    "AblationConfig",
+    "CompletionConfig",
+    "HostileConfig",
+    "RegistrationConfig",
+    "bench_ablation",
+    "bench_collision",
+    "bench_completion",
+    "bench_detection",
+    "bench_hollow",
+    "bench_hostile",
+    "bench_registration",
+    "bench_resets",
+    "bench_speed",
+    "bench_stability",
+    "bench_trial",
+]
+
+
+def __getattr__(name: str) -> object:
+    if name in _HOMES:
+        home, own = _HOMES[name]
+        return getattr(import_module(f"{__name__}.{home}"), own)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -11,6 +11,7 @@ import json
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor, nn
@@ -57,7 +58,7 @@ def bench_ablation(
     runs: Path = Path("runs"),
     workers: int = 1,
     report: Callable[[str], None] | None = None,
-) -> dict[str, object]:
+) -> dict[str, Any]:
     """Train and measure every row; rows that were finished by an earlier run are read back.
 
     Args:
@@ -93,7 +94,7 @@ def bench_ablation(
 
 def _row(
     layers: int, noise_m: float, training: Batch, held_out: Batch, config: AblationConfig, checkpoint: Path
-) -> dict[str, object]:
+) -> dict[str, Any]:
     torch.manual_seed(config.seed)
     loop = LoopConfig(steps=config.steps, batch=config.batch, rate=1e-3, seed=config.seed)
     network, hours = train(

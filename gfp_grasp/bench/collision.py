@@ -9,13 +9,15 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 import trimesh
 
-from gfp_grasp.bench.views import see
+from gfp_grasp.bench.rows import Row
+from gfp_grasp.bench.views import procedural_classes, view_object
 from gfp_grasp.collision import DecomposeConfig, collision_of, decompose, hull
 from gfp_grasp.collision.convex import within_parts
 from gfp_grasp.collision.fidelity import union_error_m
@@ -37,8 +39,41 @@ METHODS = ("carried", *_ENGINES, "hull")
 _INSIDE = 40_000  # places that the intersection over union is counted on
 
 
+@dataclass(frozen=True, kw_only=True)
+class PartsRow(Row):
+    """One method on one mesh; None where a figure does not apply.
+
+    Attributes:
+        mesh: "completed" or "true".
+        object: Name of the object.
+        category: True class of the object.
+        method: Name of the method.
+        failed: Error that ended the method; the figures are None then.
+        made_by: What made the parts, whatever the method.
+        ms: Time that the method took, ms.
+        parts: Number of convex parts.
+        vertices: Number of vertices of all parts.
+        error_mm: Mean, 95 % and largest distance between parts and mesh, both ways.
+        iou: Intersection over union of parts and mesh.
+        steps_per_s: Steps of MuJoCo a second with the parts in a gripper.
+    """
+
+    mesh: str
+    object: str
+    category: str
+    method: str
+    failed: str | None = None
+    made_by: str | None = None
+    ms: float | None = None
+    parts: int | None = None
+    vertices: int | None = None
+    error_mm: tuple[float, ...] | None = None
+    iou: float | None = None
+    steps_per_s: float | None = None
+
+
 def bench_collision(
-    objects: str = "cup,mug,bottle",
+    objects: str | None = None,
     *,
     methods: Sequence[str] = METHODS,
     limit: int | None = 4,
@@ -46,67 +81,76 @@ def bench_collision(
     seed: int = 0,
     workers: int = 1,
     progress=None,
-) -> dict[str, object]:
+) -> dict[str, Any]:
     """Time, size, truth and speed in MuJoCo of each method's parts, on the same completed meshes.
 
     Args:
-        objects: Families, or a folder of meshes.
-        methods: Of METHODS.
-        limit: Objects in all, families taking turns; None for all.
+        objects: Families, or a folder of meshes; None takes all classes that have a primitive and procedural shapes.
+        methods: Some of METHODS.
+        limit: Most objects in all, families taking turns; None takes all.
         truth: Decompose the true meshes as well, by all methods but "carried".
-        seed: Of views and samples.
-        workers: Processes; use 1 where the times matter.
+        seed: Seed of views and samples.
+        workers: Number of processes; use 1 where the times matter.
         progress: Wraps the stream of objects.
 
     Returns:
         {"settings", "rows": {"completed" or "true": {class or "all": {method: {"ms" median, "parts", "vertices" means,
         "error_mm" mean and 95 %, medians, "iou" mean, "steps_per_s" median in a gripper, "objects", "failed"}}}},
-        "ratio": {class: median of the time of coacd_0.05 over that of carried}, "trials": every object's}.
+        "ratio": {class: median of the time of coacd_0.05 over that of carried}, "trials": every `PartsRow`}.
     """
     unknown = set(methods) - set(METHODS)
     if unknown or not methods:
         raise InvalidOption(f"methods are {tuple(methods)}; some of {METHODS} are expected")
+    objects = objects or procedural_classes()
     sources = load_objects(objects, limit=limit)
-    jobs = list(enumerate(sources))
-    run = partial(_trial, methods=tuple(methods), truth=truth, seed=seed)
-    trials = [t for found in pmap(run, jobs, workers=workers, progress=progress) for t in found]
-    rows: dict[str, dict[str, dict]] = {}
-    for kind in dict.fromkeys(t["mesh"] for t in trials):
-        mine = [t for t in trials if t["mesh"] == kind]
-        groups = {c: [t for t in mine if t["category"] == c] for c in dict.fromkeys(t["category"] for t in mine)}
-        rows[str(kind)] = {
-            name: {
-                m: _figures([t for t in group if t["method"] == m])
-                for m in methods
-                if m in {t["method"] for t in group}
-            }
-            for name, group in {**groups, "all": mine}.items()
-        }
+    run = partial(_rows_of_object, methods=tuple(methods), truth=truth, seed=seed)
+    found = [row for rows in pmap(run, list(enumerate(sources)), workers=workers, progress=progress) for row in rows]
+    rows = {mesh: _by_class([row for row in found if row.mesh == mesh], methods) for mesh in _unique(found, "mesh")}
     settings = {"objects": label_of(objects), "num_objects": len(sources), "seed": seed, "methods": list(methods)}
-    return {"settings": settings, "rows": rows, "ratio": _ratios(trials), "trials": trials}
+    trials = [row.to_json() for row in found]
+    return {"settings": settings, "rows": rows, "ratio": _ratios(found), "trials": trials}
 
 
-def _trial(job: tuple[int, ObjectSource], *, methods: Sequence[str], truth: bool, seed: int) -> list[dict]:
+def _by_class(rows: Sequence[PartsRow], methods: Sequence[str]) -> dict[str, dict[str, dict[str, Any]]]:
+    """Figures of each method on the objects of each class and on all of them."""
+    groups = {c: [row for row in rows if row.category == c] for c in _unique(rows, "category")}
+    return {
+        name: {m: _figures([row for row in group if row.method == m]) for m in methods if m in _unique(group, "method")}
+        for name, group in {**groups, "all": rows}.items()
+    }
+
+
+def _unique(rows: Sequence[PartsRow], name: str) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(getattr(row, name) for row in rows))
+
+
+def _rows_of_object(job: tuple[int, ObjectSource], *, methods: Sequence[str], truth: bool, seed: int) -> list[PartsRow]:
     number, source = job
     mesh = source.load_mesh()
-    found = []
+    rows = []
+
+    def measure(method: str, of: Completion | trimesh.Trimesh, grasps: Sequence[Grasp], world: str) -> None:
+        own = of.mesh if isinstance(of, Completion) else of
+        figures = _measure(own, _way(method, of), grasps, seed)
+        rows.append(PartsRow(mesh=world, object=source.name, category=source.category, method=method, **figures))
+
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        sight = see(mesh, np.random.default_rng([seed, number]))
+        view = view_object(mesh, np.random.default_rng([seed, number]))
         try:
-            completion = complete_to_mesh(sight.cloud.points, viewpoint=sight.cloud.viewpoint)
+            completion = complete_to_mesh(view.cloud.points, viewpoint=view.cloud.viewpoint)
             grasps = plan_grasps(completion, num=1, seed=seed)
         except GfpGraspError:
             completion, grasps = None, ()
         if completion is not None:
             _way("carried", completion)()  # what is loaded once is loaded
             for method in methods:
-                found.append(_judged(method, completion.mesh, _way(method, completion), grasps, seed))
+                measure(method, completion, grasps, "completed")
         if truth:
             for method in methods:
                 if method != "carried":
-                    found.append({**_judged(method, mesh, _way(method, mesh), (), seed), "mesh": "true"})
-    return [{"mesh": "completed", **trial, "object": source.name, "category": source.category} for trial in found]
+                    measure(method, mesh, (), "true")
+    return rows
 
 
 def _way(method: str, of: Completion | trimesh.Trimesh) -> Callable[[], CollisionMesh]:
@@ -119,25 +163,24 @@ def _way(method: str, of: Completion | trimesh.Trimesh) -> Callable[[], Collisio
     return lambda: decompose(mesh, config=_ENGINES[method])
 
 
-def _judged(
-    method: str, mesh: trimesh.Trimesh, way: Callable[[], CollisionMesh], grasps: Sequence[Grasp], seed: int
-) -> dict[str, object]:
-    """Run a method, and measure all in one way, whatever the method says of itself."""
+def _measure(
+    mesh: trimesh.Trimesh, way: Callable[[], CollisionMesh], grasps: Sequence[Grasp], seed: int
+) -> dict[str, Any]:
+    """Fields of a `PartsRow`: run a method and measure its parts, whatever the method says of itself."""
     start = time.perf_counter()
     try:
         found = way()
     except GfpGraspError as error:
-        return {"method": method, "failed": f"{type(error).__name__}: {error}"}
+        return {"failed": f"{type(error).__name__}: {error}"}
     seconds = time.perf_counter() - start
     rng = np.random.default_rng(seed)
     error_m = union_error_m(found.parts, mesh, count=4000, rng=rng)
     return {
-        "method": method,
         "made_by": found.made_by,
         "ms": round(1000 * seconds, 2),
         "parts": len(found.parts),
         "vertices": sum(len(part.vertices) for part in found.parts),
-        "error_mm": [round(1000 * error, 3) for error in error_m],
+        "error_mm": tuple(round(1000 * error, 3) for error in error_m),
         "iou": round(_iou(found.parts, mesh, rng), 4),
         "steps_per_s": held_steps_per_s(found.parts, grasps[0]) if len(grasps) else None,
     }
@@ -150,31 +193,35 @@ def _iou(parts: Sequence[ConvexPart], mesh: trimesh.Trimesh, rng: np.random.Gene
     return float((mine & its).sum() / max((mine | its).sum(), 1))
 
 
-def _figures(trials: Sequence[dict]) -> dict[str, object]:
-    done = [t for t in trials if "failed" not in t]
-    figures: dict[str, object] = {"objects": len(trials), "failed": len(trials) - len(done)}
+def _figures(rows: Sequence[PartsRow]) -> dict[str, Any]:
+    done = [row for row in rows if row.failed is None]
+    figures: dict[str, Any] = {"objects": len(rows), "failed": len(rows) - len(done)}
     if not done:
         return figures
-    steps = [t["steps_per_s"] for t in done if t["steps_per_s"] is not None]
+    steps = [row.steps_per_s for row in done if row.steps_per_s is not None]
+    error_mm = [row.error_mm[:2] for row in done if row.error_mm is not None]
+
+    def of_all(middle: Callable[..., Any], name: str) -> float:
+        return float(middle([getattr(row, name) for row in done]))
+
     return {
         **figures,
-        "ms": round(float(np.median([t["ms"] for t in done])), 2),
-        "parts": round(float(np.mean([t["parts"] for t in done])), 1),
-        "vertices": round(float(np.mean([t["vertices"] for t in done])), 1),
-        "error_mm": np.round(np.median([t["error_mm"][:2] for t in done], axis=0), 3).tolist(),
-        "iou": round(float(np.mean([t["iou"] for t in done])), 4),
+        "ms": round(of_all(np.median, "ms"), 2),
+        "parts": round(of_all(np.mean, "parts"), 1),
+        "vertices": round(of_all(np.mean, "vertices"), 1),
+        "error_mm": np.round(np.median(error_mm, axis=0), 3).tolist(),
+        "iou": round(of_all(np.mean, "iou"), 4),
         "steps_per_s": round(float(np.median(steps)), 1) if steps else None,
     }
 
 
-def _ratios(trials: Sequence[dict]) -> dict[str, float]:
+def _ratios(rows: Sequence[PartsRow]) -> dict[str, float]:
     """Time of CoACD at 0.05 over that of carrying, median over the completed objects of each class."""
-    ms = {
-        (t["object"], t["method"]): (t["category"], t["ms"]) for t in trials if t["mesh"] == "completed" and "ms" in t
-    }
+    ms = {(row.object, row.method): row.ms for row in rows if row.mesh == "completed" and row.ms is not None}
+    category = {row.object: row.category for row in rows}
     ratios: dict[str, list[float]] = {}
-    for (name, method), (category, slow) in ms.items():
+    for (name, method), slow in ms.items():
         if method == "coacd_0.05" and (name, "carried") in ms:
-            for group in (category, "all"):
-                ratios.setdefault(group, []).append(slow / ms[name, "carried"][1])
+            for group in (category[name], "all"):
+                ratios.setdefault(group, []).append(slow / ms[name, "carried"])
     return {group: round(float(np.median(found)), 1) for group, found in ratios.items()}

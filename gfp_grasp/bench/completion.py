@@ -1,8 +1,8 @@
 """Bench of completions: `gfp-grasp bench completion`.
 
 Each object is seen from random views (see views.py), turned by any yaw on a table of any height. A method is given the
-object's points and the viewpoint, and up; nothing else. Its answer is compared with 8192 samples of the true surface
-that can be seen from outside or through an opening.
+object's points, the viewpoint and up; nothing else. Its answer is compared with 8192 samples of the true surface that
+can be seen from outside or through an opening.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ import trimesh
 from scipy.spatial import KDTree
 from scipy.stats import rankdata
 
-from gfp_grasp.bench.methods import METHODS, UNDEFORMED, Answer, run_method
-from gfp_grasp.bench.paper import table_one
-from gfp_grasp.bench.summary import paired_gain, summary
-from gfp_grasp.bench.views import PROTOCOLS, Sight, in_sight, see
+from gfp_grasp.bench.methods import FORMER_NAMES, METHODS, UNDEFORMED, Answer, run_method
+from gfp_grasp.bench.rows import CompletionRow, paired_gain, summarise, table_one
+from gfp_grasp.bench.views import PROTOCOLS, ObjectView, in_sight, view_object
+from gfp_grasp.completion import Completion
 from gfp_grasp.errors import GfpGraspError, InvalidOption
 from gfp_grasp.meshes import sample_surface, vertex_normals
 from gfp_grasp.metrics import chamfer_m, f_score, iou, scale_error, visible_surface
@@ -38,16 +38,16 @@ _BACK_M = 0.01  # a point of the cloud this near says that the sensor saw the pl
 
 
 @dataclass(frozen=True)
-class CompletionBench:
+class CompletionConfig:
     """What is measured on.
 
     Attributes:
-        views: Views of each object.
-        seed: Of views, noise and samples.
-        split: Of the procedural families.
-        limit: Objects; None takes all.
+        views: Number of views of each object.
+        seed: Seed of views, noise and samples.
+        split: Split of the procedural families: train, val or test.
+        limit: Most objects of each family; None takes all.
         give_category: Tell the methods the true class.
-        noise_m: Standard deviation of the depth noise.
+        noise_m: Standard deviation of the depth noise, m.
         protocol: How objects stand and are seen, one of views.PROTOCOLS.
     """
 
@@ -70,12 +70,12 @@ def bench_completion(
     objects: str,
     *,
     methods: Sequence[str] = METHODS,
-    config: CompletionBench = CompletionBench(),
+    config: CompletionConfig = CompletionConfig(),
     known: Mapping[str, Any] | None = None,
     workers: int = 1,
     ray: str | None = None,
     progress=None,
-) -> dict[str, object]:
+) -> dict[str, Any]:
     """Measure completions of procedural families, or of the cups, mugs and bottles of a folder of meshes.
 
     Args:
@@ -83,16 +83,16 @@ def bench_completion(
             that has no primitive are left out.
         methods: Some of METHODS.
         config: Views and noise.
-        known: Report of an earlier run, whose trials are kept if its settings are the same; else all are made again.
-        workers: Processes.
+        known: Report of an earlier run, whose rows are kept if its settings are the same; else all are made again.
+        workers: Number of processes.
         ray: Address of a Ray cluster to run on instead, or "auto".
         progress: Wraps the stream of finished views.
 
     Returns:
-        {"settings", "rows": {class: {method: figures}}, "paper_table_one" as of `table_one`, "paired": {class: {method:
-        gain}}, "trials": [...]}.
+        {"settings", "rows": {class: {method: figures}}, "paper_table_one": see `table_one`, "paired": {class: {method:
+        gain}}, "trials": every `CompletionRow`}.
 
-        Figures are those of `summary`: Chamfer distance `cd_m`, `f_score` at 5 mm, `iou` of solids, the median of the
+        Figures are those of `summarise`: Chamfer distance `cd_m`, `f_score` at 5 mm, `iou` of solids, the median of the
         size's relative error, milliseconds; of the library's own answers also how much of what is marked as observed
         was (`seen_precision`) and the other way round (`seen_recall`), the rank correlation of sigma with the true
         error (`sigma_rank`) and the share of vertices within two sigma (`two_sigma`). Pairs set each of the package's
@@ -107,88 +107,95 @@ def bench_completion(
     classes = list_primitives()
     sources = [s for s in load_objects(objects, split=config.split, limit=config.limit) if s.category in classes]
     settings = {"objects": [s.name for s in sources], "samples": _SAMPLES, **asdict(config)}
-    kept: dict[tuple[str, int], list[dict]] = {}
+    kept: dict[tuple[str, int], list[CompletionRow]] = {}
     if known is not None and known["settings"] == settings:
-        for row in known["trials"]:
-            kept.setdefault((row["object"], row["view"]), []).append(row)
-        methods = tuple(m for m in METHODS if m in methods or m in {row["method"] for row in known["trials"]})
+        for record in known["trials"]:
+            row = CompletionRow(**{**record, "method": FORMER_NAMES.get(record["method"], record["method"])})
+            kept.setdefault((row.object, row.view), []).append(row)
+        done = {row.method for rows in kept.values() for row in rows}
+        methods = tuple(m for m in METHODS if m in methods or m in done)
     jobs = [(source, view, kept.get((source.name, view), [])) for source in sources for view in range(config.views)]
-    run = partial(_trials, methods=tuple(methods), config=config)
-    trials = pmap(run, jobs, workers=workers, ray=ray, progress=progress)
-    flat = [row for rows in trials for row in rows]
+    run = partial(_rows_of_view, methods=tuple(methods), config=config)
+    found = pmap(run, jobs, workers=workers, ray=ray, progress=progress)
+    flat = [row for rows in found for row in rows]
     by_class = {
-        c: [r for r in flat if c in ("all", r["category"])] for c in (*sorted({s.category for s in sources}), "all")
+        c: [row for row in flat if c in ("all", row.category)] for c in (*sorted({s.category for s in sources}), "all")
     }
     rivals = [m for m in methods if m.startswith(("gfs", "gfpnet")) and UNDEFORMED in methods]
-    table = {c: {m: summary([r for r in rows if r["method"] == m]) for m in methods} for c, rows in by_class.items()}
+    table = {
+        c: {m: summarise([row for row in rows if row.method == m]) for m in methods} for c, rows in by_class.items()
+    }
     return {
         "settings": settings,
         "rows": table,
         "paper_table_one": table_one(table),
         "paired": {c: {m: paired_gain(rows, m, UNDEFORMED) for m in rivals} for c, rows in by_class.items()},
-        "trials": flat,
+        "trials": [row.to_json() for row in flat],
     }
 
 
-def _trials(job, *, methods: tuple[str, ...], config: CompletionBench) -> list[dict]:
+def _rows_of_view(job, *, methods: tuple[str, ...], config: CompletionConfig) -> list[CompletionRow]:
     source, number, kept = job
-    done = {row["method"]: row for row in kept}
+    done = {row.method: row for row in kept}
     name_seed = int.from_bytes(hashlib.sha256(source.name.encode()).digest()[:4], "little")
     rng = np.random.default_rng([config.seed, number, name_seed])
-    sight = see(source.load_mesh(), rng, protocol=config.protocol, noise_m=config.noise_m)
-    truth = visible_surface(sight.mesh, _SAMPLES, rng)
+    view = view_object(source.load_mesh(), rng, protocol=config.protocol, noise_m=config.noise_m)
+    truth = visible_surface(view.mesh, _SAMPLES, rng)
     rows = []
     for method in methods:
         if method in done:
             rows.append(done[method])
             continue
         own = np.random.default_rng([config.seed, number, name_seed, zlib.crc32(method.encode())])
-        row = {"object": source.name, "category": source.category, "view": number, "method": method}
         start = time.perf_counter()
+        figures: dict[str, Any] = {"cd_m": None, "f_score": 0.0}
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
                 told = source.category if config.give_category else None
-                answer = run_method(method, sight, told, source.category)
-            row["ms"] = round(1000 * (time.perf_counter() - start), 1)
-            row |= _errors(answer, sight, truth, own)
+                answer = run_method(method, view, told, source.category)
         except GfpGraspError as error:
-            row["ms"] = round(1000 * (time.perf_counter() - start), 1)
-            row |= {"cd_m": None, "f_score": 0.0, "error": type(error).__name__}
-        rows.append(row)
+            figures["error"] = type(error).__name__
+            answer = None
+        ms = round(1000 * (time.perf_counter() - start), 1)
+        if answer is not None:
+            figures = _errors(answer, view, truth, own)
+        rows.append(
+            CompletionRow(object=source.name, category=source.category, view=number, method=method, ms=ms, **figures)
+        )
     return rows
 
 
-def _errors(answer: Answer, sight: Sight, truth: np.ndarray, rng: np.random.Generator) -> dict[str, object]:
+def _errors(answer: Answer, view: ObjectView, truth: np.ndarray, rng: np.random.Generator) -> dict[str, Any]:
+    """Fields of a `CompletionRow` that compare an answer with the truth."""
     surface = answer.surface
     points = visible_surface(surface, _SAMPLES, rng) if isinstance(surface, trimesh.Trimesh) else surface
-    row: dict[str, object] = {
+    figures: dict[str, Any] = {
         "cd_m": _rounded(chamfer_m(points, truth), 7),
         "f_score": _rounded(f_score(points, truth)),
-        "scale_error": _rounded(scale_error(surface, sight.mesh)),
+        "scale_error": _rounded(scale_error(surface, view.mesh)),
     }
-    if isinstance(surface, trimesh.Trimesh) and sight.mesh.is_volume and surface.is_volume:
-        row["iou"] = _rounded(iou(surface, sight.mesh))
-    if answer.completion is not None:
-        row["class_found"] = answer.completion.category
-        row |= _honesty(answer.completion, sight, rng)
-    return row
+    if isinstance(surface, trimesh.Trimesh) and view.mesh.is_volume and surface.is_volume:
+        figures["iou"] = _rounded(iou(surface, view.mesh))
+    if answer.completion is None:
+        return figures
+    return {**figures, "class_found": answer.completion.category, **_calibration(answer.completion, view, rng)}
 
 
-def _honesty(completion, sight: Sight, rng: np.random.Generator) -> Mapping[str, object]:
+def _calibration(completion: Completion, view: ObjectView, rng: np.random.Generator) -> dict[str, float]:
     """Whether `observed` and `sigma_m` say what is so."""
     vertices, sigma_m, observed = (
         np.asarray(a) for a in (completion.mesh.vertices, completion.sigma_m, completion.observed)
     )
     normals = vertex_normals(vertices, np.asarray(completion.mesh.faces))
-    points, true_normals, _ = sample_surface(sight.mesh, 4 * _SAMPLES, rng)
+    points, true_normals, _ = sample_surface(view.mesh, 4 * _SAMPLES, rng)
     # A vertex belongs to the true surface that is near it and faces its way: walls are thin.
     near = KDTree(np.hstack([points, _WALL_M * true_normals])).query(np.hstack([vertices, _WALL_M * normals]))[1]
-    viewpoint = sight.cloud.viewpoint
+    viewpoint = view.cloud.viewpoint
     assert viewpoint is not None
-    seen = in_sight(sight.mesh, points[near], true_normals[near], viewpoint)
-    # In sight of the camera, and something came back from there.
-    seen &= KDTree(sight.cloud.points).query(points[near])[0] < _BACK_M
+    seen = in_sight(view.mesh, points[near], true_normals[near], viewpoint)
+    # The camera looked there, and something came back.
+    seen &= KDTree(view.cloud.points).query(points[near])[0] < _BACK_M
     error_m = np.abs(np.einsum("ni,ni->n", points[near] - vertices, true_normals[near]))
     both = float((seen & observed).sum())
     return {

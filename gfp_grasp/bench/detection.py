@@ -1,22 +1,19 @@
-"""How well objects are found and named: `python -m gfp_grasp.bench.detection --json results/detection.json`.
+"""How well objects are found and named: `gfp-grasp bench detection`.
 
-Segmentation on the labelled Kinect table tops and category on the RealSense captures, where they are at hand (the
-environment variable GFP_GRASP_DATA names their folder); category on views of the procedural test split always.
+Segmentation is measured on labelled table tops and category on captures, where a folder of them is given; category on
+views of the procedural test split always.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
 import os
 import platform
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import trimesh
-from rich.console import Console
-from rich.table import Table
 
 from gfp_grasp.camera import (
     SensorModel,
@@ -36,14 +33,14 @@ MATCH_IOU = 0.7
 UP = np.array([0.0, 0.0, 1.0])
 
 
-def measure(data: Path | None, *, cache: Path = CACHE, num_views: int = 4, workers: int = 1) -> dict[str, object]:
-    """All figures, as they are written to JSON.
+def bench_detection(data: Path | None, *, cache: Path = CACHE, num_views: int = 4, workers: int = 1) -> dict[str, Any]:
+    """Measure detection and classification.
 
     Args:
         data: Folder with captures/, or None.
         cache: Folder of rendered views.
-        num_views: Of each shape of the test split.
-        workers: Processes that render.
+        num_views: Number of views of each shape of the test split.
+        workers: Number of processes that render.
     """
     figures: dict[str, object] = {"match_iou": MATCH_IOU, "machine": f"{platform.machine()}, {os.cpu_count()} cores"}
     if data is not None:
@@ -58,7 +55,7 @@ def measure(data: Path | None, *, cache: Path = CACHE, num_views: int = 4, worke
     return figures
 
 
-def match_table(path: Path) -> dict[str, object]:
+def match_table(path: Path) -> dict[str, Any]:
     """Intersection over union, in pixels, of each labelled object with the best detection."""
     with np.load(path) as capture:
         view, label = view_from_points(capture["points_cam"]), capture["label"]
@@ -76,7 +73,7 @@ def match_table(path: Path) -> dict[str, object]:
     }
 
 
-def match_clutter(num_scenes: int, *, seed: int) -> dict[str, object]:
+def match_clutter(num_scenes: int, *, seed: int) -> dict[str, Any]:
     """The same on rendered clutter of two to five test shapes, upright and at least 4 mm apart, with sensor noise."""
     ious = []
     for number in range(num_scenes):
@@ -120,7 +117,7 @@ def best_iou(mask: np.ndarray, found: tuple[Detection, ...]) -> float:
     return max((float((mask & d.mask).sum() / (mask | d.mask).sum()) for d in found if d.mask is not None), default=0.0)
 
 
-def name_capture(path: Path) -> dict[str, object]:
+def name_capture(path: Path) -> dict[str, Any]:
     """Category of the biggest object of a picture whose up is unknown."""
     with np.load(path) as capture:
         view = DepthImage(capture["depth_m"], capture["K"], np.eye(4))
@@ -132,7 +129,7 @@ def name_capture(path: Path) -> dict[str, object]:
     }
 
 
-def name_views(examples: list[Example]) -> dict[str, object]:
+def name_views(examples: list[Example]) -> dict[str, Any]:
     """Accuracy and confusion; cup and mug are told apart only where a handle is seen.
 
     `accuracy_cups_named_cup` is stricter: a cup that is called a mug is wrong there.
@@ -165,46 +162,3 @@ def _scores(example: Example) -> dict[str, float]:
 
 def _single_captures(data: Path) -> list[Path]:
     return [path for path in sorted(data.glob("captures/*.npz")) if not path.stem.startswith("table_")]
-
-
-def _show(figures: dict, console: Console) -> None:
-    table = Table("table top", "objects", "matched", "IoU", "s", title=f"Segmentation, IoU >= {MATCH_IOU}")
-    for name, row in figures.get("tables", {}).items():
-        ious = " ".join(f"{iou:.2f}" for iou in row["iou"])
-        table.add_row(name, str(row["objects"]), str(row["matched"]), ious, f"{row['seconds']:.2f}")
-    clutter = figures["clutter"]
-    matched = f"{clutter['matched']} of {clutter['objects']}"
-    table.add_row(f"rendered, {clutter['scenes']} scenes", "", matched, f"median {clutter['median_iou']:.2f}", "")
-    console.print(table)
-    for name, row in figures.get("captures", {}).items():
-        console.print(f"{name}: {row['category']} {row['scores']}")
-    named, upright = figures["procedural_test"], figures["procedural_test_upright"]
-    title = f"Category, {named['views']} views: {named['accuracy']:.3f} (upright {upright['accuracy']:.3f})"
-    table = Table("true \\ named", *FAMILIES, title=title)
-    for family, row in named["confusion_rows_true"].items():
-        table.add_row(family, *map(str, row))
-    table.add_row("mug, no handle seen", *map(str, named["mug_without_seen_handle"]))
-    console.print(table)
-    console.print(f"mean top score of things of no class: {figures['foreign_mean_top_score']}")
-
-
-def main() -> None:
-    """The command line."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--json", type=Path, help="file that the figures are written to")
-    parser.add_argument("--cache", type=Path, default=CACHE)
-    parser.add_argument("--views", type=int, default=4)
-    parser.add_argument("--workers", type=int, default=1)
-    options = parser.parse_args()
-    folder = os.environ.get("GFP_GRASP_DATA")
-    figures = measure(
-        Path(folder) if folder else None, cache=options.cache, num_views=options.views, workers=options.workers
-    )
-    _show(figures, Console())
-    if options.json:
-        options.json.parent.mkdir(parents=True, exist_ok=True)
-        options.json.write_text(json.dumps(figures, indent=1) + "\n")
-
-
-if __name__ == "__main__":
-    main()

@@ -14,15 +14,18 @@ import warnings
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import asdict, dataclass
+from functools import partial
 from multiprocessing import get_context
 from multiprocessing.connection import Connection
 from pathlib import Path
 from queue import Empty, SimpleQueue
+from typing import Any
 
 import numpy as np
 import trimesh
 
 from gfp_grasp.bench.hostile_meshes import KINDS, hostile_mesh
+from gfp_grasp.bench.rows import Row
 from gfp_grasp.collision import DecomposeConfig, decompose, hull
 from gfp_grasp.collision.guard import close_workers, idle_pids
 from gfp_grasp.errors import GfpGraspError, InvalidOption
@@ -38,18 +41,38 @@ _FLAT = 1e-6  # share of a part's size by which its own corners may stand out of
 _QUICK = DecomposeConfig(
     threshold=0.2, mcts_iterations=60, mcts_nodes=10, resolution=1000, max_convex_hull=16, time_limit_s=20, cache=False
 )
-Trial = dict[str, object]
 Job = tuple[str, int]
 
 
-@dataclass(frozen=True)
-class HostileBench:
-    """What is sent.
+@dataclass(frozen=True, kw_only=True)
+class HostileRow(Row):
+    """One mesh in one step.
 
     Attributes:
-        count: Meshes that are checked and made solid, or hulled, in turn.
-        coacd: Meshes, the first of the same, that are decomposed.
-        seed: Of the meshes.
+        step: "validate" or "decompose".
+        number: Number of the mesh.
+        kind: Kind of the mesh.
+        outcome: "valid", the class of a named error, or one of BAD.
+        s: Time of the step, s.
+        why: What was wrong; None where there is nothing more to tell.
+    """
+
+    step: str
+    number: int
+    kind: str
+    outcome: str
+    s: float
+    why: str | None = None
+
+
+@dataclass(frozen=True)
+class HostileConfig:
+    """Which meshes are sent.
+
+    Attributes:
+        count: Number of meshes that are checked and made solid, or hulled, in turn.
+        coacd: Number of meshes, the first of the same, that are decomposed.
+        seed: Seed of the meshes.
     """
 
     count: int = 10_000
@@ -63,62 +86,56 @@ class HostileBench:
 
 def bench_hostile(
     *,
-    config: HostileBench = HostileBench(),
-    known: Mapping[str, object] | None = None,
+    config: HostileConfig = HostileConfig(),
+    known: Mapping[str, Any] | None = None,
     workers: int = 1,
-    progress: Callable[[Iterable[Trial], int], Iterable[Trial]] | None = None,
-    save: Callable[[dict[str, object]], None] | None = None,
-) -> dict[str, object]:
+    progress: Callable[[Iterable[HostileRow], int], Iterable[HostileRow]] | None = None,
+    save: Callable[[dict[str, Any]], None] | None = None,
+) -> dict[str, Any]:
     """Send hostile meshes through validation and decomposition.
 
     Args:
-        config: How many, and which.
-        known: An earlier report, whose trials are kept if it had the same seed; the bad ones are made anew.
-        workers: Processes at a time.
-        progress: Wraps the stream of trials.
-        save: Handed the report of what there is, every hundred trials.
+        config: Number of meshes, and their seed.
+        known: An earlier report, whose rows are kept if it had the same seed; the bad ones are made anew.
+        workers: Number of processes.
+        progress: Wraps the stream of rows.
+        save: Given the report so far, every hundred rows.
 
     Returns:
         {"settings", "bad": {"crash", "hang", "invalid", "zombie": how many}, "rows": {step: {kind: {outcome: count}}},
-        "seconds": {step: median and largest}, "trials": [{"step", "number", "kind", "outcome", "s", "why" if bad}]};
-        an outcome is "valid", the class of a named error, or one of the bad.
+        "seconds": {step: median and largest}, "trials": every `HostileRow`}.
     """
     if workers < 1:
         raise InvalidOption(f"workers is {workers}; at least 1 is expected")
     steps = {"validate": config.count, "decompose": config.coacd}
     jobs = [(step, number) for step, count in steps.items() for number in range(count)]
     jobs.sort(key=lambda job: job[1] / steps[job[0]])  # a run that is stopped has had its share of both
-    trials: dict[Job, Trial] = {}
-    if known is not None and dict(known["settings"]).get("seed") == config.seed:  # type: ignore[call-overload]
-        wanted = set(jobs)
-        trials = {_job(t): t for t in known["trials"] if _job(t) in wanted and t["outcome"] not in BAD}  # type: ignore[union-attr]
-    left = [job for job in jobs if job not in trials]
+    rows: dict[Job, HostileRow] = {}
+    if known is not None and known["settings"].get("seed") == config.seed:
+        former = [HostileRow(**record) for record in known["trials"]]
+        rows = {(row.step, row.number): row for row in former if row.outcome not in BAD}
+        rows = {job: rows[job] for job in jobs if job in rows}
+    left = [job for job in jobs if job not in rows]
     watch = progress or (lambda stream, total: stream)
-    for done, trial in enumerate(watch(_run(left, config.seed, workers), len(left)), 1):
-        trials[_job(trial)] = trial
+    for done, row in enumerate(watch(_run(left, config.seed, workers), len(left)), 1):
+        rows[row.step, row.number] = row
         if save is not None and done % 100 == 0:
-            save(_report(config, trials))
-    return _report(config, trials)
+            save(_report(config, rows))
+    return _report(config, rows)
 
 
-def _job(trial: Mapping) -> Job:
-    return trial["step"], trial["number"]
-
-
-def _report(config: HostileBench, trials: Mapping[Job, Trial]) -> dict[str, object]:
-    ordered = [trials[job] for job in sorted(trials, key=lambda job: (job[0] == "decompose", job[1]))]
+def _report(config: HostileConfig, done: Mapping[Job, HostileRow]) -> dict[str, Any]:
+    ordered = [done[job] for job in sorted(done, key=lambda job: (job[0] == "decompose", job[1]))]
     rows: dict[str, dict[str, dict[str, int]]] = {}
     seconds: dict[str, dict[str, float]] = {}
     for step in ("validate", "decompose"):
-        mine = [trial for trial in ordered if trial["step"] == step]
+        mine = [row for row in ordered if row.step == step]
         if not mine:
             continue
-        rows[step] = {
-            kind: dict(Counter(str(trial["outcome"]) for trial in mine if trial["kind"] == kind)) for kind in KINDS
-        }
-        taken = np.array([trial["s"] for trial in mine])
+        rows[step] = {kind: dict(Counter(row.outcome for row in mine if row.kind == kind)) for kind in KINDS}
+        taken = np.array([row.s for row in mine])
         seconds[step] = {"median": round(float(np.median(taken)), 3), "largest": round(float(taken.max()), 3)}
-    bad = {name: sum(trial["outcome"] == name for trial in ordered) for name in BAD}
+    bad = {name: sum(row.outcome == name for row in ordered) for name in BAD}
     return {
         "settings": {**asdict(config), "time_limit_s": _QUICK.time_limit_s, "margin_s": _MARGIN_S},
         "done": {step: sum(figures.values()) for step, figures in _sums(rows).items()},
@@ -126,7 +143,7 @@ def _report(config: HostileBench, trials: Mapping[Job, Trial]) -> dict[str, obje
         "outcomes": _sums(rows),
         "seconds": seconds,
         "rows": rows,
-        "trials": ordered,
+        "trials": [row.to_json() for row in ordered],
     }
 
 
@@ -134,10 +151,10 @@ def _sums(rows: Mapping[str, Mapping[str, Mapping[str, int]]]) -> dict[str, dict
     return {step: dict(sum(map(Counter, kinds.values()), Counter())) for step, kinds in rows.items()}
 
 
-def _run(jobs: list[Job], seed: int, workers: int) -> Iterator[Trial]:
-    """Trials as they are done: one thread for each process, which starts it anew when it is lost."""
+def _run(jobs: list[Job], seed: int, workers: int) -> Iterator[HostileRow]:
+    """Rows as they are done: one thread for each process, which starts it anew when it is lost."""
     waiting: SimpleQueue[Job] = SimpleQueue()
-    answers: SimpleQueue[Trial | BaseException] = SimpleQueue()
+    answers: SimpleQueue[HostileRow | BaseException] = SimpleQueue()
     for job in jobs:
         waiting.put(job)
     stop = threading.Event()
@@ -167,9 +184,9 @@ def _oversee(waiting: SimpleQueue, answers: SimpleQueue, seed: int, stop: thread
             except Empty:
                 return
             worker = worker or _Worker(seed)
-            trial, worker = worker.ask(step, number, stop)
-            if trial is not None:
-                answers.put(trial)
+            row, worker = worker.ask(step, number, stop)
+            if row is not None:
+                answers.put(row)
     except BaseException as error:
         answers.put(error)
         raise
@@ -190,26 +207,26 @@ class _Worker:
         theirs.close()
         self._pipe.recv()  # the libraries are loaded
 
-    def ask(self, step: str, number: int, stop: threading.Event) -> tuple[Trial | None, _Worker | None]:
-        """The trial, and the worker for the next one; None for a process that is lost."""
+    def ask(self, step: str, number: int, stop: threading.Event) -> tuple[HostileRow | None, _Worker | None]:
+        """The row, and the worker for the next one; None for a process that is lost."""
         limit_s = (_QUICK.time_limit_s if step == "decompose" else _VALIDATION_LIMIT_S) + _MARGIN_S
         started = time.monotonic()
         self._pipe.send((step, number))
-        lost = {"step": step, "number": number, "kind": tuple(KINDS)[number % len(KINDS)]}
+        lost = partial(HostileRow, step=step, number=number, kind=tuple(KINDS)[number % len(KINDS)])
         while not self._pipe.poll(0.2):
             if stop.is_set():
                 self.end()
                 return None, None
             if time.monotonic() - started > limit_s:
                 self.end()
-                return {**lost, "outcome": "hang", "s": round(limit_s, 3), "why": f"over {limit_s:g} s"}, None
+                return lost(outcome="hang", s=round(limit_s, 3), why=f"over {limit_s:g} s"), None
         try:
             return self._pipe.recv(), self
         except (EOFError, OSError):
             self._process.join(10)
             why = f"the process ended with {self._process.exitcode}"
             self.end()
-            return {**lost, "outcome": "crash", "s": round(time.monotonic() - started, 3), "why": why}, None
+            return lost(outcome="crash", s=round(time.monotonic() - started, 3), why=why), None
 
     def end(self) -> None:
         self._process.kill()
@@ -227,19 +244,18 @@ def _work(pipe: Connection, seed: int) -> None:
             except EOFError:
                 close_workers()
                 return
-            pipe.send(attempt(step, number, seed=seed))
+            pipe.send(measure_mesh(step, number, seed=seed))
 
 
-def attempt(step: str, number: int, *, seed: int) -> Trial:
-    """One mesh through one step, in this process.
+def measure_mesh(step: str, number: int, *, seed: int) -> HostileRow:
+    """Send one mesh through one step, in this process.
 
     Args:
         step: "validate" (check, then make solid or hull, in turn) or "decompose".
-        number: Of the mesh.
-        seed: Of the meshes.
+        number: Number of the mesh.
+        seed: Seed of the meshes.
     """
     kind, mesh = hostile_mesh(number, seed=seed)
-    trial: Trial = {"step": step, "number": number, "kind": kind}
     started = time.monotonic()
     why: str | None = None
     try:
@@ -251,12 +267,10 @@ def attempt(step: str, number: int, *, seed: int) -> Trial:
             why = str(error)[:300]
     except (ArithmeticError, AssertionError, LookupError, MemoryError, RuntimeError, TypeError, ValueError) as error:
         outcome, why = "crash", f"{type(error).__name__}: {str(error)[:200]}"
-    trial |= {"outcome": outcome, "s": round(time.monotonic() - started, 3)}
-    left = _left_behind()
-    if left:
-        trial |= {"outcome": "zombie"}
-        why = f"processes {sorted(left)} were left"
-    return trial if why is None else {**trial, "why": why}
+    s = round(time.monotonic() - started, 3)
+    if left := _left_behind():
+        outcome, why = "zombie", f"processes {sorted(left)} were left"
+    return HostileRow(step=step, number=number, kind=kind, outcome=outcome, s=s, why=why)
 
 
 def _validated(mesh: trimesh.Trimesh, *, hulled: bool) -> str | None:

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import trimesh
 
-from gfp_grasp.bench.views import Sight, extents_of
+from gfp_grasp.bench.views import ObjectView, extents_of
 from gfp_grasp.complete import CompleteConfig, complete_to_mesh
 from gfp_grasp.completers import CONFIGS, complete_as_observed, mirrored_cloud
 from gfp_grasp.completion import Completion
@@ -35,31 +35,32 @@ class Answer:
     completion: Completion | None = None
 
 
-def run_method(name: str, sight: Sight, category: str | None, given: str) -> Answer:
+def run_method(name: str, view: ObjectView, category: str | None, given: str) -> Answer:
     """One method on one view.
 
     Args:
-        name: One of METHODS.
-        sight: The view; a method gets its cloud. Rows that end in "-sized" also get the true height and width.
-        category: The class it is told, or None.
-        given: The true class, whose primitive the "-sized" rows and those of the paper's table start from.
+        name: One of METHODS. Those that begin with "told-" (the paper's) are told the true class; those that end in
+            "-sized" also get the true height and width.
+        view: The view; a method gets its cloud.
+        category: Class that the other methods are told, or None.
+        given: True class of the object.
 
     Raises:
         GfpGraspError: The method has no answer.
     """
     if name in _SIMPLE:
-        return Answer(_SIMPLE[name](sight))
-    config, tell = config_of(name, sight, given)
+        return Answer(_SIMPLE[name](view))
+    config, tell = config_of(name, view, given)
     done = complete_to_mesh(
-        sight.cloud.points,
-        viewpoint=sight.cloud.viewpoint,
+        view.cloud.points,
+        viewpoint=view.cloud.viewpoint,
         category=given if tell else category,
         config=config,
     )
     return Answer(done.mesh, done)
 
 
-def config_of(name: str, sight: Sight | None = None, given: str = "") -> tuple[CompleteConfig, bool]:
+def config_of(name: str, view: ObjectView | None = None, given: str = "") -> tuple[CompleteConfig, bool]:
     """Config of a row that registers a primitive, and whether the row is told the class."""
     if name in _OWN:
         return _OWN[name], False
@@ -67,20 +68,20 @@ def config_of(name: str, sight: Sight | None = None, given: str = "") -> tuple[C
     rigid, method = _PAPER[base]
     fit = rigid()
     if name.endswith("-sized"):
-        assert sight is not None
-        fit = rigid(size=_true_size(sight, given))
+        assert view is not None
+        fit = rigid(size=_true_size(view, given))
     return CompleteConfig(fit=fit, deform=DeformConfig(method=method), rival_share=1.0, subcategories=False), True
 
 
-def _true_size(sight: Sight, category: str) -> tuple[float, float, float]:
+def _true_size(view: ObjectView, category: str) -> tuple[float, float, float]:
     """Scale that gives the class's primitive the true height and mean width."""
-    true, own = extents_of(sight), np.ptp(load_primitive(category).vertices, axis=0)
+    true, own = extents_of(view), np.ptp(load_primitive(category).vertices, axis=0)
     wide = float(true[:2].mean() / own[:2].mean())
     return wide, wide, float(true[2] / own[2])
 
 
-def _detection(sight: Sight) -> Detection:
-    return detect_single(sight.cloud.points, viewpoint=sight.cloud.viewpoint, up=np.array([0, 0, 1.0]))
+def _detection(view: ObjectView) -> Detection:
+    return detect_single(view.cloud.points, viewpoint=view.cloud.viewpoint, up=np.array([0, 0, 1.0]))
 
 
 def _without(**switches: object) -> CompleteConfig:
@@ -90,17 +91,17 @@ def _without(**switches: object) -> CompleteConfig:
     return CompleteConfig(fit=replace(fit, **laps))
 
 
-_SIMPLE: Mapping[str, Callable[[Sight], trimesh.Trimesh | np.ndarray]] = {
-    "partial": lambda sight: sight.cloud.points,
-    "hull": lambda sight: complete_as_observed(_detection(sight)).mesh,
-    "mirror": lambda sight: mirrored_cloud(_detection(sight)),
+_SIMPLE: Mapping[str, Callable[[ObjectView], trimesh.Trimesh | np.ndarray]] = {
+    "partial": lambda view: view.cloud.points,
+    "observed": lambda view: complete_as_observed(_detection(view)).mesh,
+    "mirror": lambda view: mirrored_cloud(_detection(view)),
 }
 _PAPER: Mapping[str, tuple[Callable[..., FitConfig], Method]] = {
-    "icp": (icp_config, "none"),
-    "pcrnet": (pcrnet_config, "none"),
-    "pcrnet-gfs": (pcrnet_config, "gfs"),
-    "pcrnet-gfpnet-oneshot": (pcrnet_config, "gfpnet-oneshot"),
-    "pcrnet-gfpnet-paper": (pcrnet_config, "gfpnet-paper"),
+    "told-icp": (icp_config, "none"),
+    "told-pcrnet": (pcrnet_config, "none"),
+    "told-pcrnet-gfs": (pcrnet_config, "gfs"),
+    "told-pcrnet-gfpnet-oneshot": (pcrnet_config, "gfpnet-oneshot"),
+    "told-pcrnet-gfpnet-paper": (pcrnet_config, "gfpnet-paper"),
 }
 SWITCHES: Mapping[str, CompleteConfig] = {
     "gfpnet-no-scale": _without(estimate_scale=False),
@@ -126,6 +127,11 @@ METHODS = (
     *(f"{name}{sized}" for name in _PAPER for sized in ("", "-sized")),
     *_OWN,
 )
-BRIEF = (*_SIMPLE, "icp", UNDEFORMED, "gfs", "gfpnet-paper-5", "gfpnet")
+BRIEF = (*_SIMPLE, "told-icp", UNDEFORMED, "gfs", "gfpnet-paper-5", "gfpnet")
+# Names of rows in reports that were written before: the same method had another name as a completer.
+FORMER_NAMES: Mapping[str, str] = {
+    "hull": "observed",
+    **{f"{name.removeprefix('told-')}{sized}": f"{name}{sized}" for name in _PAPER for sized in ("", "-sized")},
+}
 
-__all__ = ["BRIEF", "METHODS", "SWITCHES", "UNDEFORMED", "Answer", "config_of", "run_method"]
+__all__ = ["BRIEF", "FORMER_NAMES", "METHODS", "SWITCHES", "UNDEFORMED", "Answer", "config_of", "run_method"]

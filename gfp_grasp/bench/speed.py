@@ -1,7 +1,9 @@
-"""Bench of time and memory: `gfp-grasp bench speed`.
+"""Benches of time and memory: `gfp-grasp bench speed` and `gfp-grasp bench resets`.
 
 Clouds of the test split, of 2000 to 20 000 points, become a mesh and convex parts; ICP and PCRNet are timed on the same
-clouds in the same run, as the times of one machine say little beside those of another.
+clouds in the same run, as the times of one machine say little beside those of another. Episodes of the environment come
+and go, and nothing of them may stay: there are more objects than it keeps compiled, so that scenes are also thrown away
+and made anew.
 """
 
 from __future__ import annotations
@@ -13,32 +15,37 @@ import time
 import warnings
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy.spatial import KDTree
 
-from gfp_grasp.bench.views import see
+from gfp_grasp.bench.views import procedural_classes, view_object
 from gfp_grasp.complete import complete_to_mesh
 from gfp_grasp.detect import detect_single
+from gfp_grasp.envs import GfpGraspEnv
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.primitives import load_primitive
 from gfp_grasp.register import FitConfig, fit_evidence, gather_evidence, icp_config, pcrnet_config
-from gfp_grasp.scenes import load_objects
+from gfp_grasp.scenes import label_of, load_objects
 from gfp_grasp.types import PointCloud
 
 SIZES = (2000, 5000, 20_000)
+_POINTS = 10  # memory is measured so often in a run of resets
+# A small picture: it takes less time, and what stays of an episode is not its picture.
+_SMALL = {"image_width": 120, "image_height": 90, "num_points": 256}
 
 
 def bench_speed(
-    objects: str = "cup,mug,bottle", *, limit: int = 30, calls: int = 0, seed: int = 0, progress=None
-) -> dict[str, object]:
+    objects: str | None = None, *, limit: int = 30, calls: int = 0, seed: int = 0, progress=None
+) -> dict[str, Any]:
     """Time completions by stage, registrations beside each other, and watch the memory over many calls.
 
     Args:
-        objects: Families or folder.
-        limit: Objects.
-        calls: Completions that memory is watched over; 0 leaves it out.
-        seed: Of the views.
+        objects: Families, or a folder of meshes; None takes all classes that have a primitive and procedural shapes.
+        limit: Most objects in all.
+        calls: Number of completions that memory is watched over; 0 leaves it out.
+        seed: Seed of the views.
         progress: Wraps the stream of clouds.
 
     Returns:
@@ -48,8 +55,8 @@ def bench_speed(
     if limit < 1 or calls < 0:
         raise InvalidOption(f"limit is {limit} and calls {calls}; at least one object, and no negative calls")
     clouds = [
-        (source.category, see(source.load_mesh(), np.random.default_rng([seed, i]), protocol="standard").cloud)
-        for i, source in enumerate(load_objects(objects, limit=limit))
+        (source.category, view_object(source.load_mesh(), np.random.default_rng([seed, i]), protocol="standard").cloud)
+        for i, source in enumerate(load_objects(objects or procedural_classes(), limit=limit))
     ]
     watch = progress or (lambda stream, total: stream)
     with warnings.catch_warnings():
@@ -68,6 +75,63 @@ def bench_speed(
     return report
 
 
+def bench_resets(
+    objects: str | None = None,
+    *,
+    resets: int = 10_000,
+    completer: str = "mirror",
+    limit: int = 20,
+    seed: int = 0,
+    progress=None,
+    **options: object,
+) -> dict[str, Any]:
+    """Memory of the process over many resets of one environment.
+
+    Args:
+        objects: Families, or a folder of meshes; None takes all classes that have a primitive and procedural shapes.
+        resets: Number of resets.
+        completer: Name of the completer; a cheap one measures the environment, another one measures itself as well.
+        limit: Most objects in all; each is loaded once before the count begins, as parts that are not in the cache yet
+            would be made in the first resets.
+        seed: Seed of the first reset; those after it go on from there.
+        progress: Wraps the stream of resets.
+        **options: More of `gfp_grasp.envs.config.EnvConfig`; the picture is small unless they say otherwise.
+
+    Returns:
+        {"settings", "rss_mb": resident memory in MB at ten points of the run, "resets_per_s": in seconds of CPU time}.
+
+    Raises:
+        InvalidOption: Fewer than ten resets, or an option that the environment refuses.
+    """
+    if resets < _POINTS:
+        raise InvalidOption(f"resets is {resets}; at least {_POINTS} are expected, for as many points of measurement")
+    objects = objects or procedural_classes()
+    chosen = {"objects": objects, "completer": completer, "limit": limit, **_SMALL, **options}
+    env = GfpGraspEnv(**chosen)
+    for number in range(len(env.sources)):
+        env.reset(seed=seed, options={"object": number})
+    marks = {resets * (i + 1) // _POINTS for i in range(_POINTS)}
+    resident, seconds = [], 0.0
+    for done in (progress or (lambda stream, total: stream))(range(1, resets + 1), resets):
+        start = time.process_time()
+        env.reset(seed=seed if done == 1 else None)
+        seconds += time.process_time() - start
+        if done in marks:
+            resident.append(resident_mb())
+    env.close()
+    return {
+        "settings": {
+            **chosen,
+            "objects": label_of(objects),
+            "num_objects": len(env.sources),
+            "resets": resets,
+            "seed": seed,
+        },
+        "rss_mb": resident,
+        "resets_per_s": round(resets / seconds, 2),
+    }
+
+
 def _timed(cloud: PointCloud) -> dict[str, float]:
     start = time.perf_counter()
     done = complete_to_mesh(cloud.points, viewpoint=cloud.viewpoint)
@@ -77,7 +141,7 @@ def _timed(cloud: PointCloud) -> dict[str, float]:
     return {**done.timings_s, "parts": end - meshed, "total": end - start}
 
 
-def _figures(laps: list[dict[str, float]]) -> dict[str, object]:
+def _figures(laps: list[dict[str, float]]) -> dict[str, Any]:
     total = np.array([lap["total"] for lap in laps])
     stages = [stage for stage in laps[0] if stage != "total"]
     return {
@@ -103,7 +167,7 @@ def _registrations(clouds: list[tuple[str, PointCloud]]) -> dict[str, float]:
     return answer
 
 
-def _memory(clouds: list[PointCloud], calls: int, watch: Callable) -> dict[str, object]:
+def _memory(clouds: list[PointCloud], calls: int, watch: Callable) -> dict[str, Any]:
     every = max(1, calls // 10)
     resident = []
     for call in watch(range(calls), calls):

@@ -7,11 +7,12 @@ from __future__ import annotations
 
 import warnings
 from functools import partial
+from typing import Any
 
 import numpy as np
 import trimesh
 
-from gfp_grasp.bench.views import see
+from gfp_grasp.bench.views import procedural_classes, view_object
 from gfp_grasp.complete import complete_to_mesh
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.parallel import pmap
@@ -21,22 +22,22 @@ from gfp_grasp.transforms import apply_T, invert_T, make_T, rotation_about
 
 
 def bench_stability(
-    objects: str = "cup,mug,bottle",
+    objects: str | None = None,
     *,
     motions: int = 200,
     limit: int = 20,
     seed: int = 0,
     workers: int = 1,
     progress=None,
-) -> dict[str, object]:
+) -> dict[str, Any]:
     """Complete each object twice, and after rigid motions about up.
 
     Args:
-        objects: Families or folder.
-        motions: In all, shared out over the objects.
-        limit: Objects.
-        seed: Of views and motions.
-        workers: Processes.
+        objects: Families, or a folder of meshes; None takes all classes that have a primitive and procedural shapes.
+        motions: Number of motions in all, shared out over the objects.
+        limit: Most objects in all.
+        seed: Seed of views and motions.
+        workers: Number of processes.
         progress: Wraps the stream of objects.
 
     Returns:
@@ -46,7 +47,7 @@ def bench_stability(
     """
     if motions < 1 or limit < 1:
         raise InvalidOption(f"{motions} motions of {limit} objects; at least one of each is expected")
-    sources = [s for s in load_objects(objects, limit=limit) if s.category in list_primitives()]
+    sources = [s for s in load_objects(objects or procedural_classes(), limit=limit) if s.category in list_primitives()]
     jobs = [(source, len(range(i, motions, len(sources))), i) for i, source in enumerate(sources)]
     answers = pmap(partial(_stability, seed=seed), jobs, workers=workers, progress=progress)
     moved_mm = np.concatenate([moved for _, moved in answers])
@@ -62,7 +63,7 @@ def bench_stability(
 def _stability(job: tuple[ObjectSource, int, int], *, seed: int) -> tuple[bool, np.ndarray]:
     source, motions, number = job
     rng = np.random.default_rng([seed, number])
-    cloud = see(source.load_mesh(), rng).cloud
+    cloud = view_object(source.load_mesh(), rng).cloud
     assert cloud.viewpoint is not None
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")

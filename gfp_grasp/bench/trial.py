@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from gfp_grasp.bench.views import procedural_classes
 from gfp_grasp.envs import GfpGraspEnv, TrialSettings, run_trial
 from gfp_grasp.envs.creep import creep_mps
 from gfp_grasp.envs.pace import TimedStep, fetch_steps_per_s
@@ -26,7 +27,7 @@ _STEPS = (1, 2, 4)  # parts of the simulator's time step
 
 
 def bench_trial(
-    objects: str = "cup,mug,bottle",
+    objects: str | None = None,
     *,
     limit: int = 24,
     grasps: int = 4,
@@ -55,6 +56,7 @@ def bench_trial(
         "steps_per_s": physics steps a second of whole attempts, and of FetchPickAndPlace-v4 in the same run where
         gymnasium-robotics is installed, "trials": every attempt's}.
     """
+    objects = objects or procedural_classes()
     if limit < 1 or grasps < 1:
         raise InvalidOption(f"limit is {limit} and grasps {grasps}; at least 1 of each is expected")
     env = GfpGraspEnv(objects=objects, completer="oracle", limit=limit)

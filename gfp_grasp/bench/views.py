@@ -1,4 +1,4 @@
-"""How the bench of completions sees its objects: one standard protocol and three hard ones."""
+"""How benches view their objects: one standard protocol and three hard ones."""
 
 from __future__ import annotations
 
@@ -16,6 +16,8 @@ from gfp_grasp.camera import (
     render_mesh_view,
     sample_viewpoint,
 )
+from gfp_grasp.primitives import PrimitiveLibrary
+from gfp_grasp.shapes import FAMILIES
 from gfp_grasp.transforms import apply_T, invert_T, make_T, rotation_about
 from gfp_grasp.types import DepthImage, PointCloud
 
@@ -26,14 +28,19 @@ _LIFT_M = 1e-4  # rays start this far off their own surface
 _BOARD_M = 0.05  # how far in front of the object the board of the hidden protocol stands
 
 
+def procedural_classes() -> str:
+    """Classes that have a primitive and procedural shapes, as `load_objects` takes them: the benches' own objects."""
+    return ",".join(name for name in PrimitiveLibrary.shipped().categories if name in FAMILIES)
+
+
 @dataclass(frozen=True, eq=False)
-class Sight:
-    """One object as it was seen.
+class ObjectView:
+    """One object as one camera saw it.
 
     Attributes:
-        mesh: The true mesh, in the world.
-        T_world_object: (4, 4) where it was put.
-        cloud: Its points, with the camera's place.
+        mesh: The true mesh, in the world's frame.
+        T_world_object: (4, 4) pose of the object on the table.
+        cloud: Points that the camera saw, with its viewpoint.
     """
 
     mesh: trimesh.Trimesh
@@ -41,18 +48,18 @@ class Sight:
     cloud: PointCloud
 
 
-def see(
+def view_object(
     mesh: trimesh.Trimesh, rng: np.random.Generator, *, protocol: str = "standard", noise_m: float = 0.001
-) -> Sight:
+) -> ObjectView:
     """Put an object on a table of any height, by any yaw, and look at it from 0.6 m, 240x320, 35 degrees field.
 
     Args:
-        mesh: z up, m.
-        rng: Of place, view and noise.
+        mesh: True mesh, z up, m.
+        rng: Draws place, view and noise.
         protocol: "standard" (20 to 60 degrees up), "noisy" (5 to 80 degrees, 3 mm of noise and dropouts), "fallen"
             (lying by any roll, or upside down) or "hidden" (half of its pixels behind a nearer board, whose straight
             edge has any direction).
-        noise_m: Standard deviation of the depth noise, of all but "noisy".
+        noise_m: Standard deviation of the depth noise; "noisy" has its own.
     """
     height = float(rng.uniform(-0.3, 0.9))
     R = rotation_about((0, 0, 1), rng.uniform(0, 2 * np.pi))
@@ -70,11 +77,11 @@ def see(
     if protocol == "hidden":
         image, index = _behind_a_board(image, index, rng)
     image = apply_sensor(image, _NOISY if protocol == "noisy" else SensorModel.gaussian(noise_m), rng)
-    return Sight(placed, T, cloud_of(image, (index == 0) & (image.depth_m > 0)))
+    return ObjectView(placed, T, cloud_of(image, (index == 0) & (image.depth_m > 0)))
 
 
 def _fallen(rng: np.random.Generator) -> np.ndarray:
-    """Rotation (3, 3) of an object that stands: upside down, or lying on any side."""
+    """Rotation (3, 3) that turns a standing object upside down or onto any side."""
     if rng.random() < 0.5:
         return rotation_about((1, 0, 0), np.pi)
     return rotation_about((0, 1, 0), np.pi / 2) @ rotation_about((0, 0, 1), rng.uniform(0, 2 * np.pi))
@@ -90,14 +97,14 @@ def _behind_a_board(image: DepthImage, index: np.ndarray, rng: np.random.Generat
 
 
 def in_sight(mesh: trimesh.Trimesh, points: np.ndarray, normals: np.ndarray, viewpoint: np.ndarray) -> np.ndarray:
-    """Which points (n, 3) of a mesh's surface, with their normals, nothing hides from a viewpoint; (n,) bool."""
+    """(n,) bool, which points (n, 3) on a mesh's surface, with their normals, nothing hides from a viewpoint."""
     sight = viewpoint - points
     facing = np.einsum("ni,ni->n", sight, normals) > 0
     distance, _, _ = cast_rays([(np.asarray(mesh.vertices), np.asarray(mesh.faces))], points + _LIFT_M * normals, sight)
     return facing & ~np.isfinite(distance)
 
 
-def extents_of(sight: Sight) -> np.ndarray:
+def extents_of(view: ObjectView) -> np.ndarray:
     """(3,) m, extents along the axes of the object as it stands."""
-    upright = apply_T(invert_T(sight.T_world_object), np.asarray(sight.mesh.vertices))
+    upright = apply_T(invert_T(view.T_world_object), np.asarray(view.mesh.vertices))
     return np.ptp(upright, axis=0)

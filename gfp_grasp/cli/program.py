@@ -8,7 +8,7 @@ from typing import cast
 import typer
 from threadpoolctl import threadpool_limits
 
-from gfp_grasp.cli.benching import bench
+from gfp_grasp.cli.bench_physics import bench  # which adds its commands to those of gfp_grasp.cli.bench
 from gfp_grasp.cli.complete import complete
 from gfp_grasp.cli.decompose import decompose
 from gfp_grasp.cli.primitives import gps

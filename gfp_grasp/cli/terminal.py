@@ -5,7 +5,7 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import typer
 from rich.columns import Columns
@@ -41,6 +41,10 @@ Files = Annotated[bool, typer.Option("--files", help="Write the meshes of .xml t
 Gps = Annotated[
     list[Path] | None,
     typer.Option("--gps", help="Folder of primitives of your own (gps build --out); may be given several times."),
+]
+BenchObjects = Annotated[
+    str | None,
+    typer.Option(help="Families with commas between, or a folder; left out, all procedural classes."),
 ]
 JsonFile = Annotated[Path | None, typer.Option("--json", dir_okay=False, help="Write all figures to this file.")]
 
@@ -123,6 +127,11 @@ def check_outputs(paths: Sequence[Path]) -> None:
         folder = next(parent for parent in path.absolute().parents if parent.exists())
         if path.is_dir() or not folder.is_dir() or not os.access(folder, os.W_OK):
             raise InvalidOption(f"{path} cannot be written: a file in a folder that is yours is expected")
+
+
+def read_json(path: Path | None) -> dict[str, Any] | None:
+    """Figures that a command wrote before; None where it wrote none."""
+    return json.loads(path.read_text(encoding="utf-8")) if path is not None and path.is_file() else None
 
 
 def save_json(path: Path | None, content: object) -> None:

@@ -1,0 +1,204 @@
+"""`gfp-grasp bench`: what is found, fitted and completed, against the truth."""
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gfp_grasp.cli.terminal import (
+    BenchObjects,
+    JsonFile,
+    Limit,
+    Objects,
+    Ray,
+    Seed,
+    Split,
+    Workers,
+    err,
+    out,
+    read_json,
+    save_json,
+    table,
+    track,
+)
+from gfp_grasp.errors import InvalidOption
+
+bench = typer.Typer(
+    name="bench", help="Measure detection, registration, completion, collision parts, trials.", no_args_is_help=True
+)
+
+
+@bench.command()
+def completion(
+    objects: Objects,
+    methods: Annotated[str, typer.Option(help="Names with commas between; brief; or all.")] = "brief",
+    views: Annotated[int, typer.Option(min=1, help="Of each object.")] = 16,
+    split: Split = "test",
+    limit: Limit = None,
+    given: Annotated[bool, typer.Option("--given-category", help="Tell the methods the true class.")] = False,
+    noise_m: Annotated[float, typer.Option(min=0.0, help="Standard deviation of the depth noise.")] = 0.001,
+    protocol: Annotated[str, typer.Option(help="standard, noisy, fallen or hidden.")] = "standard",
+    workers: Workers = 1,
+    ray: Ray = None,
+    json_file: JsonFile = None,
+    picture: Annotated[Path | None, typer.Option(dir_okay=False, help="Draw the rows to this .svg file.")] = None,
+    resume: Annotated[
+        bool, typer.Option("--resume", help="Keep what the --json file has of the same settings.")
+    ] = False,
+    seed: Seed = 0,
+) -> None:
+    """Completions against the truth, on random views."""
+    from gfp_grasp.bench import BRIEF, METHODS, CompletionConfig, bench_completion
+    from gfp_grasp.drawing import write_bars
+
+    named = {"all": METHODS, "brief": BRIEF}
+    chosen = named[methods] if methods in named else tuple(methods.split(","))
+    config = CompletionConfig(views, seed, split, limit, given, noise_m, protocol)
+    known = read_json(json_file) if resume else None
+    report = bench_completion(
+        objects, methods=chosen, config=config, known=known, workers=workers, ray=ray, progress=track("views")
+    )
+    for category, figures in report["rows"].items():
+        table(
+            ("method", "CD, mm", "F at 5 mm", "IoU", "size", "ms", "views", "failed"),
+            [(name, *_figures(row)) for name, row in figures.items()],
+            title=str(category),
+        )
+    gains = [
+        (category, name, *_gain(figures))
+        for category, methods_of in report["paired"].items()
+        for name, figures in methods_of.items()
+        if figures["pairs"]
+    ]
+    if gains:
+        headings = ("class", "method", "gain, mm", "95 % interval", "gain", "views won")
+        table(headings, gains, title="against the same fit undeformed", words=2)
+    if picture is not None:
+        write_bars(report["rows"], picture, title=f"Completion, {protocol} views")
+    save_json(json_file, report)
+
+
+@bench.command()
+def registration(
+    starts: Annotated[str, typer.Option(help="box, pcrnet, or both with a comma between.")] = "box,pcrnet",
+    views: Annotated[int, typer.Option(min=1, help="Of each object.")] = 4,
+    limit: Limit = None,
+    mean_size: Annotated[bool, typer.Option("--mean-size", help="Starts have the mean size.")] = False,
+    workers: Workers = 1,
+    json_file: JsonFile = None,
+    seed: Seed = 0,
+) -> None:
+    """Pose, size and shape of fits against the truth, with PCRNet's start and without."""
+    from gfp_grasp.bench import RegistrationConfig, bench_registration
+
+    config = RegistrationConfig(views, limit, seed, mean_size)
+    chosen = tuple(starts.split(","))
+    report = bench_registration(starts=chosen, config=config, workers=workers, progress=track("shapes"))
+    rows = report["rows"]
+    headings = ("class", "start", "axis, deg", "yaw, deg", "middle, mm", "size", "CD, mm", "wrong rest", "ms", "failed")
+    table(headings, [(c, s, *_fit_figures(row)) for c, figures in rows.items() for s, row in figures.items()], words=2)
+    save_json(json_file, report)
+
+
+@bench.command()
+def detection(
+    data: Annotated[Path | None, typer.Option(help="Folder with captures/, for real tables.")] = None,
+    views: Annotated[int, typer.Option(min=1, help="Of each procedural shape.")] = 4,
+    workers: Workers = 1,
+    json_file: JsonFile = None,
+) -> None:
+    """Objects found on tables, and classes told apart."""
+    from gfp_grasp.bench import bench_detection
+
+    if data is not None and not (data / "captures").is_dir():
+        raise InvalidOption(f"--data is {data}; a folder with captures/ in it is expected")
+    with err.status("detecting ..."):
+        report = bench_detection(data, num_views=views, workers=workers)
+    out.print_json(json.dumps(report))
+    save_json(json_file, report)
+
+
+@bench.command()
+def ablation(
+    steps: Annotated[int, typer.Option(min=1, help="Of each network.")] = 200,
+    limit: Annotated[int, typer.Option(min=1, help="Shapes of each family.")] = 60,
+    runs: Annotated[Path, typer.Option(help="Folder of caches and of finished rows.")] = Path("runs"),
+    workers: Workers = 1,
+    json_file: JsonFile = None,
+    picture: Annotated[Path | None, typer.Option(dir_okay=False, help="Draw the rows to this .svg file.")] = None,
+    seed: Seed = 0,
+) -> None:
+    """The paper's networks by layers and iterations, at a short budget; a run that was stopped goes on."""
+    from gfp_grasp.bench import AblationConfig, bench_ablation
+    from gfp_grasp.drawing import write_curves
+
+    config = AblationConfig(steps=steps, limit=limit, seed=seed)
+    report = bench_ablation(config=config, runs=runs, workers=workers, report=err.print)
+    rows = report["rows"]
+    headings = ("encoder", *(f"m = {m + 1}" for m in range(7)))
+    table(headings, [(name, *(f"{v:.2f}" for v in row["cd_mm"])) for name, row in rows.items()])
+    if picture is not None:
+        curves = {name: row["cd_mm"] for name, row in rows.items()}
+        title = f"Layers by iterations after {steps} steps of {config.batch} patches: not converged"
+        write_curves(curves, picture, title=title, axis="iterations m")
+    save_json(json_file, report)
+
+
+@bench.command()
+def speed(
+    objects: BenchObjects = None,
+    limit: Limit = 30,
+    calls: Annotated[int, typer.Option(min=0, help="Completions that memory is watched over.")] = 0,
+    json_file: JsonFile = None,
+    seed: Seed = 0,
+) -> None:
+    """Milliseconds by stage, registrations beside each other, and memory over many calls."""
+    from gfp_grasp.bench import bench_speed
+
+    report = bench_speed(objects, limit=limit or 30, calls=calls, seed=seed, progress=track("clouds"))
+    out.print_json(json.dumps(report))
+    save_json(json_file, report)
+
+
+@bench.command()
+def stability(
+    objects: BenchObjects = None,
+    motions: Annotated[int, typer.Option(min=1, help="Rigid motions about up, in all.")] = 200,
+    limit: Limit = 20,
+    workers: Workers = 1,
+    json_file: JsonFile = None,
+    seed: Seed = 0,
+) -> None:
+    """The same call twice, and clouds that were moved."""
+    from gfp_grasp.bench import bench_stability
+
+    report = bench_stability(
+        objects, motions=motions, limit=limit or 20, seed=seed, workers=workers, progress=track("objects")
+    )
+    out.print_json(json.dumps(report))
+    save_json(json_file, report)
+
+
+def _figures(row: Mapping) -> tuple[str, ...]:
+    def text(key: str, style: str, factor: float = 1.0) -> str:
+        return "" if row.get(key) is None else format(factor * row[key], style)
+
+    errors = (text("cd_m", ".2f", 1000), text("f_score", ".3f"), text("iou", ".3f"), text("scale_error_median", ".1%"))
+    return (*errors, text("ms", ".0f"), str(row["views"]), str(row["failed"]))
+
+
+def _gain(paired: Mapping) -> tuple[str, ...]:
+    low, high = (1000 * end for end in paired["ci95_m"])
+    interval = f"{low:.3f} to {high:.3f}"
+    return f"{1000 * paired['gain_m']:.3f}", interval, f"{paired['gain_share']:.1%}", f"{paired['wins']:.0%}"
+
+
+def _fit_figures(row: Mapping) -> tuple[str, ...]:
+    def text(key: str, style: str, factor: float = 1.0) -> str:
+        return "" if row[key] is None else format(factor * row[key], style)
+
+    degrees, millimetres = (text("axis_deg", ".1f"), text("yaw_deg", ".1f")), text("offset_m", ".1f", 1000)
+    rest = (text("size", ".1%"), text("cd_m", ".1f", 1000), text("wrong_rest", ".0%"), text("ms", ".0f"))
+    return (*degrees, millimetres, *rest, f"{row['failed']} of {row['views']}")
