@@ -1,4 +1,5 @@
 import warnings
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
@@ -140,10 +141,33 @@ def test_every_kind_of_cloud_gives_the_same_answer(mug):
         assert np.allclose(again.mesh.vertices, completion.mesh.vertices, atol=1e-9)
 
 
-@pytest.mark.parametrize(("suffix"), [".obj", ".ply", ".stl", ".glb", ".xml", ".urdf"])
-def test_completion_is_written_by_suffix(mug, tmp_path, suffix):
-    path = mug[-1].export(tmp_path / f"mug{suffix}")
-    assert path.stat().st_size > 1000
+@pytest.mark.parametrize("suffix", [".obj", ".ply", ".stl", ".glb"])
+def test_completion_is_written_as_the_mesh_that_it_is(mug, tmp_path, suffix):
+    mesh = mug[-1].mesh
+    back = trimesh.load_mesh(mug[-1].export(tmp_path / f"mug{suffix}"))
+    back.merge_vertices()
+    assert back.is_volume
+    assert back.volume == pytest.approx(mesh.volume, rel=1e-4)
+    np.testing.assert_allclose(back.bounds, mesh.bounds, atol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("suffix", "assets"), [(".xml", "embedded"), (".xml", "files"), (".urdf", "embedded"), (".urdf", "files")]
+)
+def test_completion_is_written_as_a_body_of_its_class_with_its_parts(mug, tmp_path, suffix, assets):
+    completion = mug[-1]
+    path = completion.export(tmp_path / f"mug{suffix}", assets=assets)
+    assert (tmp_path / "mug_meshes").exists() == (suffix == ".urdf" or assets == "files")
+    root = ElementTree.parse(path).getroot()
+    body, mass = ("link", "inertial/mass") if suffix == ".urdf" else ("worldbody/body", "inertial")
+    (link,) = root.findall(body)
+    assert link.attrib["name"] == completion.category
+    written = link.find(mass)
+    assert written is not None
+    kg = float(written.attrib["value" if suffix == ".urdf" else "mass"])
+    assert kg == pytest.approx(1000 * completion.mesh.volume, rel=1e-6)
+    shapes = link.findall("collision") + [g for g in link.findall("geom") if "hull" in g.attrib["name"]]
+    assert len(shapes) == len(completion.parts)
 
 
 def test_unknown_suffix_is_refused(mug, tmp_path):

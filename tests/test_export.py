@@ -11,7 +11,8 @@ import trimesh
 import yourdfpy
 
 from gfp_grasp.errors import InvalidMesh, InvalidOption
-from gfp_grasp.export import SUFFIXES, export_completion, legal_name, mass_properties
+from gfp_grasp.export import SUFFIXES, export_completion, legal_name, mass_properties, needs_parts
+from gfp_grasp.transforms import make_T, rotation_about
 from gfp_grasp.types import ConvexPart
 
 
@@ -272,6 +273,142 @@ def test_mass_of_a_spherical_shell_is_known():
     mass = 4 * np.pi * 0.1**2 * 0.002 * 2000
     assert found.mass_kg == pytest.approx(mass, rel=5e-3)
     np.testing.assert_allclose(found.inertia, np.eye(3) * 2 / 3 * mass * 0.1**2, rtol=1e-2, atol=1e-7)
+
+
+def askew() -> tuple[trimesh.Trimesh, list[ConvexPart]]:
+    """An L of two boxes, turned about a generic axis and off the origin: no product of inertia is zero."""
+    boxes = [
+        trimesh.creation.box(bounds=[[0.0, -0.02, 0.0], [0.03, 0.03, 0.1]]),
+        trimesh.creation.box(bounds=[[0.03, -0.02, 0.0], [0.08, 0.03, 0.02]]),
+    ]
+    whole = trimesh.boolean.union([*boxes, trimesh.creation.box(bounds=[[0, -0.02, 0], [0.05, 0.03, 0.02]])])
+    T = make_T(rotation_about((1, 2, 3), 1.1), (0.3, -0.2, 0.5))
+    for mesh in (whole, *boxes):
+        mesh.apply_transform(T)
+    return whole, [ConvexPart(box.vertices, box.faces) for box in boxes]
+
+
+def test_mjcf_and_urdf_hold_the_whole_tensor_of_inertia(tmp_path):
+    mesh, parts = askew()
+    wanted = 700 * mesh.moment_inertia
+    assert np.abs(wanted[~np.eye(3, dtype=bool)]).min() > 1e-6
+    for suffix in (".xml", ".urdf"):
+        path = export_completion(mesh, parts, tmp_path / f"l{suffix}", name="l", density=700.0)
+        spec = mujoco.MjSpec.from_file(str(path))
+        if suffix == ".urdf":  # or the body is welded to the world and has none of its own
+            spec.body("l").add_freejoint()
+        body = spec.compile().body("l")
+        R = np.zeros(9)
+        mujoco.mju_quat2Mat(R, body.iquat)
+        R = R.reshape(3, 3)
+        np.testing.assert_allclose(R @ np.diag(body.inertia) @ R.T, wanted, atol=1e-8)
+        np.testing.assert_allclose(body.ipos, mesh.center_mass, atol=1e-8)
+        assert body.mass[0] == pytest.approx(700 * mesh.volume)
+
+
+def test_inertia_of_a_solid_is_that_about_its_centre_in_the_axes_of_the_mesh():
+    mesh, _ = askew()
+    found = mass_properties(mesh, density=500.0)
+    points = trimesh.sample.volume_mesh(mesh, 400_000) - mesh.center_mass
+    second = points.T @ points / len(points) * found.mass_kg
+    np.testing.assert_allclose(found.inertia, np.trace(second) * np.eye(3) - second, atol=0.03 * np.abs(second).max())
+
+
+def test_inertia_of_a_shell_is_that_about_its_centre_wherever_it_is():
+    sphere = trimesh.creation.icosphere(subdivisions=3, radius=0.1)
+    here = mass_properties(sphere, density=2000.0, shell_thickness_m=0.002)
+    there = mass_properties(sphere.copy().apply_translation((1, 2, 3)), density=2000.0, shell_thickness_m=0.002)
+    assert there.mass_kg == pytest.approx(here.mass_kg)
+    np.testing.assert_allclose(there.centre, (1, 2, 3), atol=1e-6)
+    np.testing.assert_allclose(there.inertia, here.inertia, rtol=1e-6, atol=1e-9)
+
+
+def test_inertia_of_an_uneven_shell_is_known():
+    """A square of side a, 2 m off: m a2/12 about the axes in its plane, m a2/6 about its normal."""
+    square = trimesh.Trimesh([[2.0, 0, 0], [2.3, 0, 0], [2.3, 0.3, 0], [2, 0.3, 0]], [[0, 1, 2], [0, 2, 3]])
+    found = mass_properties(square, density=100.0, shell_thickness_m=0.01)
+    assert found.mass_kg == pytest.approx(0.09)
+    np.testing.assert_allclose(found.centre, (2.15, 0.15, 0))
+    np.testing.assert_allclose(found.inertia, np.diag([1, 1, 2]) * 0.09 * 0.09 / 12, atol=1e-12)
+
+
+def test_the_floor_lies_below_the_lowest_part_and_the_lowest_vertex(tmp_path):
+    """A part that reaches 3 mm below the mesh must not start inside of the floor; gravity pulls along a tilted up."""
+    mesh, parts = askew()
+    up = np.array([1.0, -2.0, 2.0]) / 3
+    low = float((mesh.vertices @ up).min())
+    for drop, lowest in ((0.003, low - 0.003), (-0.001, low)):
+        moved = [ConvexPart(part.vertices - drop * up, part.faces) for part in parts]
+        path = export_completion(mesh, moved, tmp_path / "l.xml", up=3 * up)
+        model = mujoco.MjModel.from_xml_path(str(path))
+        np.testing.assert_allclose(model.geom("floor").pos, lowest * up, atol=1e-7)
+        R = np.zeros(9)
+        mujoco.mju_quat2Mat(R, model.geom("floor").quat)
+        np.testing.assert_allclose(R.reshape(3, 3)[:, 2], up, atol=1e-7)
+        np.testing.assert_allclose(model.opt.gravity, -9.81 * up, atol=1e-7)
+
+
+def test_the_light_shines_down_from_above_the_object(tmp_path):
+    mesh, parts = askew()
+    up = np.array([1.0, -2.0, 2.0]) / 3
+    model = mujoco.MjModel.from_xml_path(str(export_completion(mesh, parts, tmp_path / "l.xml", up=up)))
+    light = model.light(0)
+    np.testing.assert_allclose(light.dir, -up, atol=1e-7)
+    away = light.pos - mesh.bounds.mean(axis=0)
+    assert away @ up == pytest.approx(1 + 5 * np.ptp(mesh.bounds, axis=0).max())
+    np.testing.assert_allclose(away - (away @ up) * up, 0, atol=1e-7)
+
+
+def test_geoms_of_the_file_lie_where_the_parts_do(tmp_path):
+    mesh, parts = askew()
+    for assets in ("embedded", "files"):
+        path = export_completion(mesh, parts, tmp_path / assets / "l.xml", name="l", assets=assets)
+        model = mujoco.MjModel.from_xml_path(str(path))
+        data = mujoco.MjData(model)
+        mujoco.mj_forward(model, data)
+        for name, shape in (("l_visual", mesh), ("l_hull_000", parts[0]), ("l_hull_001", parts[1])):
+            geom = model.geom(name)
+            start, count = model.mesh_vertadr[geom.dataid[0]], model.mesh_vertnum[geom.dataid[0]]
+            local = model.mesh_vert[start : start + count]
+            world = local @ data.geom(name).xmat.reshape(3, 3).T + data.geom(name).xpos
+            np.testing.assert_allclose(world.min(axis=0), np.min(shape.vertices, axis=0), atol=1e-6)
+            np.testing.assert_allclose(world.max(axis=0), np.max(shape.vertices, axis=0), atol=1e-6)
+        assert model.geom("l_visual").group[0] == 2
+        assert model.geom("l_hull_000").group[0] == 3
+
+
+def test_numbers_are_written_to_nine_digits(tmp_path):
+    mesh, parts = askew()
+    root = ElementTree.parse(export_completion(mesh, parts, tmp_path / "l.xml")).getroot()
+    visual = root.find("asset/mesh")
+    assert visual is not None
+    written = np.array([float(x) for x in visual.attrib["vertex"].split()]).reshape(-1, 3)
+    np.testing.assert_allclose(written, mesh.vertices, rtol=1e-8, atol=1e-15)
+
+
+@pytest.mark.parametrize(
+    ("density", "thickness", "message"),
+    [(0.09, None, "density"), (30_001.0, None, "density"), (500.0, 0.0, "thickness"), (500.0, np.inf, "thickness")],
+)
+def test_mass_of_no_material_is_refused(density, thickness, message):
+    mesh, _ = askew()
+    with pytest.raises(InvalidOption, match=message):
+        mass_properties(mesh, density=density, shell_thickness_m=thickness)
+    assert mass_properties(mesh, density=0.1).mass_kg == pytest.approx(0.1 * mesh.volume)
+    assert mass_properties(mesh, density=30_000.0).mass_kg == pytest.approx(30_000 * mesh.volume)
+
+
+def test_a_mesh_turned_inside_out_has_no_mass():
+    mesh, _ = askew()
+    mesh.invert()
+    with pytest.raises(InvalidMesh):
+        mass_properties(trimesh.Trimesh(mesh.vertices, mesh.faces, process=False))
+
+
+def test_formats_say_whether_they_need_parts():
+    assert [needs_parts(f"a{suffix}") for suffix in SUFFIXES] == [False, False, False, False, True, True]
+    with pytest.raises(InvalidOption, match="no suffix"):
+        needs_parts("a")
 
 
 def test_unknown_suffix_is_refused_with_the_legal_ones(tmp_path):

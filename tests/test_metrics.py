@@ -7,8 +7,9 @@ import pytest
 import trimesh
 
 from gfp_grasp.errors import InvalidCloud, InvalidMesh, InvalidOption
-from gfp_grasp.metrics import chamfer_m, completion_errors, f_score, iou, visible_surface
+from gfp_grasp.metrics import chamfer_m, completion_errors, f_score, iou, scale_error, visible_surface
 from gfp_grasp.shapes import make_shape
+from gfp_grasp.transforms import apply_T, invert_T, make_T, rotation_about
 
 
 def test_chamfer_is_the_sum_of_both_mean_distances():
@@ -36,6 +37,17 @@ def test_empty_misshapen_and_unbounded_points_are_refused():
         f_score(good, good, 0.0)
 
 
+def test_near_is_within_five_millimetres_of_either_set():
+    rng = np.random.default_rng(0)
+    a, up = rng.uniform(-1, 1, (50, 3)), np.array([0.0, 0.0, 1.0])
+    assert f_score(a, a + 0.0049 * up) == 1.0
+    assert f_score(a, a + 0.0051 * up) == 0.0
+    assert f_score(a, a + 0.006 * up, 0.007) == 1.0
+    # Precision is the share of a, recall that of b: 20 of 50 and 20 of 30 are near.
+    b = np.concatenate([a[:20] + 0.001 * up, a[:10] + 9 * up])
+    assert f_score(a, b) == pytest.approx(2 * 0.4 * (2 / 3) / (0.4 + 2 / 3))
+
+
 def test_iou_of_shifted_cubes_is_exact():
     cube = trimesh.creation.box((1, 1, 1))
     assert iou(cube, cube.copy().apply_translation([0.5, 0, 0])) == pytest.approx(0.5 / 1.5, abs=1e-6)
@@ -54,6 +66,47 @@ def test_the_inside_of_an_open_cup_is_seen_and_a_sealed_void_is_not():
     inside = np.linalg.norm(seen[:, :2], axis=1) < 0.5 * cup.mesh.extents[0] * 0.5
     floor = seen[inside & (seen[:, 2] < 0.3 * cup.mesh.extents[2]), 2]
     assert (floor > 0.0005).mean() == pytest.approx(0.5, abs=0.15)
+
+
+def test_the_wall_inside_a_deep_cup_is_seen_by_what_gets_out_at_the_top():
+    """A tube with a floor, as deep as four of its radii: few of a sample's rays leave, but some do."""
+    outer = trimesh.creation.cylinder(0.03, 0.12, sections=48)
+    inner = trimesh.creation.cylinder(0.025, 0.12, sections=48)
+    inner.apply_translation([0, 0, 0.01])
+    cup = trimesh.boolean.difference([outer, inner], engine="manifold")
+    cup.apply_transform(make_T(rotation_about((1, 2, 3), 1.0), (0.3, -0.2, 0.5)))
+    seen = visible_surface(cup, 6000, np.random.default_rng(0))
+    upright = apply_T(invert_T(make_T(rotation_about((1, 2, 3), 1.0), (0.3, -0.2, 0.5))), seen)
+    inside = np.hypot(upright[:, 0], upright[:, 1]) < 0.0251
+    wall = inside & (upright[:, 2] > -0.04)
+    share = 0.025 * 0.1 * 2 * np.pi / cup.area
+    assert wall.mean() == pytest.approx(share, rel=0.1)
+
+
+def test_an_open_sheet_is_looked_at_from_both_sides():
+    """A square whose normal points down into a socket that it closes: its other side sees the sky."""
+    square = trimesh.Trimesh([[0, 0, 0], [0.1, 0, 0], [0.1, 0.1, 0], [0, 0.1, 0]], [[0, 2, 1], [0, 3, 2]])
+    assert square.face_normals[0, 2] == -1
+    around = trimesh.creation.box(bounds=[[-0.2, -0.2, -0.2], [0.3, 0.3, -0.0001]])
+    hole = trimesh.creation.box(bounds=[[0.0001, 0.0001, -0.1], [0.0999, 0.0999, 0.1]])
+    socket = trimesh.boolean.difference([around, hole], engine="manifold")
+    lid = _together(square, socket)
+    seen = visible_surface(lid, 3000, np.random.default_rng(0))
+    on_lid = (np.abs(seen[:, 2]) < 1e-6).sum()
+    assert on_lid == pytest.approx(3000 * square.area / (square.area + socket.area), rel=0.3)
+
+
+def test_hidden_samples_are_replaced_and_what_cannot_be_seen_at_all_is_refused():
+    ball = trimesh.creation.icosphere(2, 0.05)
+    inside_out = ball.copy()
+    inside_out.invert()
+    cage = _together(trimesh.creation.icosphere(2, 0.06), inside_out)
+    assert len(visible_surface(cage, 300, np.random.default_rng(0))) == 300
+    copies = [trimesh.creation.icosphere(2, 0.045) for _ in range(3)]  # their volume outweighs that of the shell
+    sealed = _together(_together(inside_out, copies[0]), _together(copies[1], copies[2]))
+    assert sealed.is_volume
+    with pytest.raises(InvalidMesh, match="inside out"):
+        visible_surface(sealed, 50, np.random.default_rng(0))
 
 
 def test_visible_samples_are_as_many_as_asked_uniform_and_repeatable():
@@ -87,6 +140,14 @@ def test_a_completion_twice_as_large_has_a_scale_error_of_one():
     assert errors.scale_error == pytest.approx(1.0, abs=1e-6)
     assert errors.cd_m == pytest.approx(0.1, rel=0.01)
     assert errors.f_score == 0.0
+
+
+def test_scale_error_is_signed_and_that_of_the_hulls():
+    body = trimesh.creation.box((0.1, 0.2, 0.3))
+    half = body.copy().apply_scale([0.5, 1.0, 1.0])
+    assert scale_error(half, body) == pytest.approx(np.cbrt(0.5) - 1)
+    assert scale_error(body, half) == pytest.approx(np.cbrt(2.0) - 1)
+    assert scale_error(np.asarray(half.vertices), body) == pytest.approx(np.cbrt(0.5) - 1)
 
 
 def test_a_perfect_completion_is_at_the_floor_of_sampling():

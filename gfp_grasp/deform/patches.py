@@ -144,7 +144,7 @@ def _residuals(vertices: np.ndarray, normals: np.ndarray, template: TemplatePoin
             # Over the plane of each point, so that a point beside the vertex says as much as one on it.
             height = np.einsum("vki,vki->vk", gap, facing[near]) * agrees
             few = np.cumsum(agrees, axis=1) <= 4
-            distance = np.linalg.norm(np.where(agrees[..., None], gap, 1.0), axis=2).min(axis=1)
+            distance = np.where(agrees, np.linalg.norm(gap, axis=2), np.inf).min(axis=1)
             found[:, 0] = (height * few).sum(axis=1) / np.maximum((agrees & few).sum(axis=1), 1)
             found[:, 1] = height.sum(axis=1) / np.maximum(agrees.sum(axis=1), 1)
             found[:, :2] = np.clip(found[:, :2] / (MISFIT_SHARE * unit_m), -3.0, 3.0)

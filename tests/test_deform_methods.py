@@ -1,0 +1,256 @@
+"""What `deform` makes of a network's answers: a cup that stands askew, and networks whose answers are known."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from scipy.spatial import KDTree
+from toy_bodies import T_WORLD_OBJECT, detection_of, fit_of
+from toy_primitive import toy_cup_primitive
+
+from gfp_grasp.deform import DeformConfig, deform, patch_layout, patch_unit_m
+from gfp_grasp.deform import gfpnet as networks
+from gfp_grasp.deform import shape as methods
+from gfp_grasp.meshes import vertex_normals
+from gfp_grasp.transforms import apply_T, invert_T, make_T
+from gfp_grasp.types import PointCloud
+
+EYE = np.array([0.5, 0.3, 0.3])  # in the cup's frame
+SCALE = np.array([1.2, 0.9, 1.1])
+
+
+@pytest.fixture(scope="module")
+def fit():
+    return fit_of(toy_cup_primitive(), scale=SCALE)
+
+
+@pytest.fixture(scope="module")
+def detection(fit):
+    """The side of the fitted cup that faces the eye, pushed out by 1 mm."""
+    vertices = fit.primitive.shape(fit.coefficients, fit.scale)
+    normals = vertex_normals(vertices, fit.primitive.faces)
+    seen = np.einsum("vi,vi->v", EYE - vertices, normals) > 0.3 * np.linalg.norm(EYE - vertices, axis=1)
+    return detection_of((vertices + 0.001 * normals)[seen], EYE)
+
+
+class Answering:
+    """Stands for a network: keeps what it is asked and gives what `answer` makes of it."""
+
+    def __init__(self, monkeypatch, answer):
+        self.names, self.asked, self.answer = [], [], answer
+        monkeypatch.setattr(networks, "load_network", self._load)
+
+    def _load(self, name):
+        self.names.append(name)
+        return self
+
+    def __call__(self, *parts, **options):
+        self.asked.append((parts, options))
+        return self.answer(*parts)
+
+
+def per_point(offset, log_sigma=0.0):
+    """Answers of the default network: every point moved by offset (patch frame and unit), no change of the fit."""
+
+    def answer(source, *_):
+        moved = torch.as_tensor(offset, dtype=torch.float32).expand(source.shape)
+        return moved, torch.full(source.shape[:3], log_sigma), torch.zeros(1, networks.CHANGE)
+
+    return answer
+
+
+def displacement_of(deformed, fit):
+    """(v, 3) m in the frame of the object."""
+    return (deformed.vertices - fit.vertices_world()) @ T_WORLD_OBJECT[:3, :3]
+
+
+def test_no_method_leaves_the_fit_as_it_is(fit, detection):
+    deformed = deform(fit, detection, config=DeformConfig(method="none"))
+    np.testing.assert_array_equal(deformed.vertices, fit.vertices_world())
+    assert np.isnan(deformed.sigma_m).all()
+    assert deformed.kept == 1.0
+
+
+def test_offsets_of_the_patches_are_blended_and_diffused_along_the_patches_normals(monkeypatch, fit, detection):
+    """All patches say 0.04 units along their own normals: the surface grows by about that much."""
+    step = 0.04 * patch_unit_m(fit.primitive)
+    network = Answering(monkeypatch, per_point((0, 0, 0.04)))
+    deformed = deform(fit, detection)
+    assert network.names == ["patch"]
+    assert deformed.kept == 1.0
+    vertices = fit.primitive.shape(fit.coefficients, fit.scale)
+    along = np.einsum("vi,vi->v", displacement_of(deformed, fit), vertex_normals(vertices, fit.primitive.faces))
+    wall = (vertices[:, 2] > 0.03) & (vertices[:, 2] < 0.06)
+    assert np.median(along[wall]) == pytest.approx(step, rel=0.12)
+    assert along[wall] == pytest.approx(np.full(wall.sum(), step), rel=0.35)
+
+
+def test_an_offset_of_one_point_is_believed_up_to_a_fifteenth_of_the_unit(monkeypatch, fit, detection):
+    unit = patch_unit_m(fit.primitive)
+    largest = {}
+    for length in (0.05, 1 / 15, 0.2, 3.0):
+        Answering(monkeypatch, per_point(np.array([0.6, 0.0, 0.8]) * length))
+        largest[length] = np.linalg.norm(displacement_of(deform(fit, detection), fit), axis=1).max()
+    assert largest[0.05] == pytest.approx(0.75 * largest[1 / 15], rel=1e-3)
+    assert largest[0.2] == pytest.approx(largest[1 / 15], rel=1e-4)
+    assert largest[3.0] == pytest.approx(largest[1 / 15], rel=1e-4)
+    assert 0.9 * unit / 15 < largest[1 / 15] < 1.1 * unit / 15
+
+
+def test_sigma_is_what_the_network_says_in_metres(monkeypatch, fit, detection):
+    Answering(monkeypatch, per_point((0, 0, 0), log_sigma=-2.5))
+    sigma_m = deform(fit, detection).sigma_m
+    assert sigma_m == pytest.approx(np.full(len(sigma_m), np.exp(-2.5) * patch_unit_m(fit.primitive)), rel=1e-5)
+
+
+def test_sigma_of_a_vertex_is_the_weighted_mean_in_logarithms_of_the_patches_that_hold_it(monkeypatch, fit, detection):
+    def answer(source, *_):
+        said = torch.arange(source.shape[1], dtype=torch.float32)[None, :, None].expand(source.shape[:3]) / 20 - 4
+        return torch.zeros(source.shape), said, torch.zeros(1, networks.CHANGE)
+
+    Answering(monkeypatch, answer)
+    sigma_m = deform(fit, detection).sigma_m
+    index, weights = patch_layout(fit.primitive)
+    for vertex in (0, 100, 333, 700):
+        patch, place = np.nonzero(index == vertex)
+        mean = np.average(patch / 20 - 4, weights=weights[patch, place])
+        assert sigma_m[vertex] == pytest.approx(np.exp(mean) * patch_unit_m(fit.primitive), rel=1e-4)
+
+
+def test_a_change_of_the_fit_moves_all_vertices(monkeypatch, fit, detection):
+    """Scale along y, which the network may change although it does not know the primitive."""
+
+    def answer(source, *_):
+        change = torch.zeros(1, networks.CHANGE)
+        change[0, networks.MODES + 1] = 2.0
+        return torch.zeros(source.shape), torch.zeros(source.shape[:3]), change
+
+    Answering(monkeypatch, answer)
+    moved = displacement_of(deform(fit, detection), fit)
+    vertices = fit.primitive.shape(fit.coefficients, fit.scale)
+    grown = networks.change_units(fit.primitive)[networks.MODES + 1] * 2.0 * vertices[:, 1]
+    assert moved[:, 1] == pytest.approx(grown, abs=2e-4)
+    assert np.abs(moved[:, [0, 2]]).max() < 2e-4
+    assert np.corrcoef(moved[:, 1], grown)[0, 1] > 0.99
+
+
+def test_the_network_is_told_of_the_viewpoint_in_the_frame_of_the_object(monkeypatch, fit, detection):
+    network = Answering(monkeypatch, per_point((0, 0, 0)))
+    deform(fit, detection)
+    pose_features = network.asked[0][0][6][0].numpy()
+    vertices = fit.primitive.shape(fit.coefficients, fit.scale)
+    sight = EYE - vertices[patch_layout(fit.primitive)[0][:, 0]]
+    assert pose_features[:, 3:6] == pytest.approx(sight / np.linalg.norm(sight, axis=1, keepdims=True), abs=1e-5)
+
+
+def test_the_network_is_given_the_patches_as_they_are_made(monkeypatch, fit, detection):
+    network = Answering(monkeypatch, per_point((0, 0, 0)))
+    made = []
+    make_patches = methods.make_patches
+    monkeypatch.setattr(methods, "make_patches", lambda *a: made.append(make_patches(*a)) or made[-1])
+    deform(fit, detection)
+    (p,) = made
+    wanted = (
+        p.source,
+        p.source_normals,
+        p.template,
+        p.template_normals,
+        p.mirrored,
+        p.residuals,
+        p.pose_features,
+    )
+    for given, part in zip(network.asked[0][0], wanted, strict=False):
+        assert given[0].numpy() == pytest.approx(part.astype(np.float32), abs=1e-6)
+    # Points 1 mm outside: where they are seen, the nearest four say so, in tenths of the unit.
+    seen = p.residuals[..., 3] > 0.9
+    assert np.median(p.residuals[seen][:, 0]) == pytest.approx(0.001 / (0.1 * p.unit_m), rel=0.1)
+
+
+@pytest.mark.parametrize(
+    ("method", "name", "iterations"),
+    [("gfpnet-paper", "paper-iterative", 3), ("gfpnet-oneshot", "paper-oneshot", None)],
+)
+def test_the_papers_methods_run_their_own_networks(monkeypatch, fit, detection, method, name, iterations):
+    network = Answering(monkeypatch, lambda source, template: source)
+    deformed = deform(fit, detection, config=DeformConfig(method=method, iterations=3))
+    assert network.names == [name]
+    assert network.asked[0][1] == {"iterations": iterations}
+    assert np.abs(deformed.vertices - fit.vertices_world()).max() < 1e-6  # the set is the source itself
+    assert np.isnan(deformed.sigma_m).all()
+
+
+def test_the_papers_network_sees_only_patches_with_points_and_what_it_says_is_diffused(monkeypatch, fit, detection):
+    step = 0.03
+    network = Answering(monkeypatch, lambda source, template: source + torch.tensor([0.0, 0.0, step]))
+    deformed = deform(fit, detection, config=DeformConfig(method="gfpnet-paper"))
+    moved = np.linalg.norm(displacement_of(deformed, fit), axis=1)
+    index, _ = patch_layout(fit.primitive)
+    count = len(network.asked[0][0][0])
+    assert 5 < count < len(index)
+    # Patches that see nothing hold vertices that no answer reaches: diffusion moves these, and softly.
+    a, b = fit.primitive.faces[:, 0], fit.primitive.faces[:, 1]
+    assert (moved > 0).all()
+    assert np.abs(moved[a] - moved[b]).max() < 0.5 * moved.max()
+
+
+def test_symmetry_is_used_where_it_is_asked_for_and_never_by_the_papers_method(monkeypatch, fit, detection):
+    asked, template_points = [], methods.template_points
+
+    def spied(*parts, symmetry):
+        asked.append(symmetry)
+        return template_points(*parts, symmetry=symmetry)
+
+    monkeypatch.setattr(methods, "template_points", spied)
+    Answering(monkeypatch, lambda *parts: per_point((0, 0, 0))(*parts) if len(parts) > 2 else parts[0])
+    for method, symmetry in (("gfpnet", True), ("gfpnet", False), ("gfpnet-paper", True), ("gfpnet-oneshot", True)):
+        deform(fit, detection, config=DeformConfig(method=method, symmetry=symmetry))
+    deform(fit, detection, config=DeformConfig(method="gfs", symmetry=False))
+    assert asked == [True, False, False, True, False]
+
+
+def test_a_predicted_set_pulls_each_point_by_the_mean_of_its_neighbourhood(fit, detection):
+    """The set is the source, every other point of it lifted: what a point alone would say, eight of them even out."""
+    rng = np.random.default_rng(0)
+    source = np.concatenate([rng.uniform(-1, 1, (2, 64, 2)), np.zeros((2, 64, 1))], axis=2)
+    predicted = source.copy()
+    predicted[:, ::2, 2] += 0.01
+    order = rng.permutation(64)
+    patches = type("Some", (), {"source": source})()
+    offsets = methods._pulled(patches, predicted[:, order])  # pyright: ignore[reportArgumentType]
+    for own, answer in zip(source, offsets, strict=True):
+        near = KDTree(own).query(own, k=8)[1]
+        assert answer[:, 2] == pytest.approx(0.01 * (near % 2 == 0).mean(axis=1))
+        assert answer[:, :2] == pytest.approx(np.zeros((64, 2)))
+
+
+def test_the_contour_draws_the_seen_side_out_and_leaves_the_far_side(fit, detection):
+    config = DeformConfig(method="gfs", symmetry=False)
+    deformed = deform(fit, detection, config=config)
+    vertices = fit.primitive.shape(fit.coefficients, fit.scale)
+    normals = vertex_normals(vertices, fit.primitive.faces)
+    along = np.einsum("vi,vi->v", displacement_of(deformed, fit), normals)
+    facing = np.einsum("vi,vi->v", EYE - vertices, normals) / np.linalg.norm(EYE - vertices, axis=1)
+    outside = np.arange(len(vertices)) < 300
+    assert np.median(along[outside & (facing > 0.6)]) == pytest.approx(0.001, abs=3e-4)
+    assert np.abs(along[outside & (facing < -0.6)]).max() < 3e-4
+    assert np.isnan(deformed.sigma_m).all()
+
+
+def test_deformation_turns_with_the_scene(fit, detection):
+    """The default network's answer is the same in the object's frame wherever the object lies."""
+    T = make_T(None, (-3.0, 1.0, 0.2))
+    move = T @ invert_T(T_WORLD_OBJECT)
+    cloud = PointCloud(apply_T(move, detection.cloud.points), apply_T(move, detection.cloud.viewpoint))
+    here = displacement_of(deform(fit, detection), fit)
+    there = replace(fit, T_world_object=T)
+    deformed = deform(there, replace(detection, cloud=cloud, up=np.array([0.0, 0.0, 1.0])))
+    moved = deformed.vertices - there.vertices_world()
+    assert np.abs(here).max() > 2e-4
+    assert np.abs(moved - here).max() < 0.1 * np.abs(here).max()
+
+
+@pytest.mark.parametrize("iterations", [0, -1])
+def test_no_iterations_are_refused(iterations):
+    with pytest.raises(Exception, match="iterations"):
+        DeformConfig(method="gfpnet-paper", iterations=iterations)
