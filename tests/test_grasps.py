@@ -9,11 +9,11 @@ import trimesh
 
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.grasps import GraspConfig, Gripper, get_planner, plan_grasps, plan_top_down
-from gfp_grasp.grasps.clearance import height_above, room_around
+from gfp_grasp.grasps.clearance import clearance_around, height_above
 from gfp_grasp.grasps.contact import find_contacts
 from gfp_grasp.grasps.gripper import Box
-from gfp_grasp.grasps.sight import hidden_share
-from gfp_grasp.grasps.wrench import carried_share
+from gfp_grasp.grasps.visibility import hidden_share
+from gfp_grasp.grasps.wrench import load_ratio
 from gfp_grasp.meshes import load_mesh, sample_surface
 from gfp_grasp.transforms import apply_T, make_T, rotation_about
 from gfp_grasp.types import Detection, OrientedBox, PointCloud, SupportPlane
@@ -168,7 +168,7 @@ def test_no_grasp_touches_object_or_support_on_its_way_in(mesh):
     for grasp in plan_grasps(completion_of(mesh, support=support)):
         pose, opening = grasp.T_world_gripper[None], np.array([grasp.width_m])
         sweep = {"gripper": config.gripper, "standoff_m": config.standoff_m}
-        assert room_around(pose, opening, fresh, **sweep)[0] > -0.001
+        assert clearance_around(pose, opening, fresh, **sweep)[0] > -0.001
         assert height_above(pose, opening, support, **sweep)[0] >= config.table_clearance_m
 
 
@@ -205,7 +205,9 @@ def test_guessed_surface_lowers_quality():
     assert guessed.quality == pytest.approx(seen.quality * np.exp(-1), rel=0.05)
 
 
-@pytest.mark.parametrize("knob", [{"friction": 0.0}, {"num_rays": -1}, {"min_clearance_m": 0.05}, {"max_climb": 2.0}])
+@pytest.mark.parametrize(
+    "knob", [{"friction": 0.0}, {"num_rays": -1}, {"min_jaw_clearance_m": 0.05}, {"max_climb": 2.0}]
+)
 def test_a_nonsense_config_is_refused(knob):
     with pytest.raises(InvalidOption, match=next(iter(knob))):
         GraspConfig(**knob)
@@ -221,7 +223,7 @@ def test_contacts_of_a_box_are_its_faces():
     assert contacts.low_m[0] == pytest.approx(-0.02, abs=1e-6)
     assert contacts.high_m[0] == pytest.approx(0.02, abs=1e-6)
     assert contacts.squareness[0] == pytest.approx(1.0)
-    assert contacts.realness[0] == pytest.approx(0.5)
+    assert contacts.certainty[0] == pytest.approx(0.5)
     # A pad of 20 by 24 mm on a flat face twists on a radius of sqrt(20^2 + 24^2) / sqrt(12) mm.
     about_y = 2 * 0.5 * np.hypot(0.020, 0.024) / np.sqrt(12)
     # Turns about x and z are resisted by friction over 40 mm and by the length and the width of the pad.
@@ -233,10 +235,10 @@ def test_room_is_the_gap_to_the_nearest_box_and_moves_with_the_gripper():
     gripper = Gripper()
     point = np.array([[0.0, 0.0, 0.0]])  # midway between the pads
     T = make_T(rotation_about((1, 2, 3), 1.0), (0.3, -0.2, 0.5))
-    room = room_around(T[None], np.array([0.06]), apply_T(T, point), gripper=gripper, standoff_m=0.1)
+    room = clearance_around(T[None], np.array([0.06]), apply_T(T, point), gripper=gripper, standoff_m=0.1)
     assert room[0] == pytest.approx(0.03, abs=1e-6)
     inside = apply_T(T, np.array([[0.0, 0.034, 0.0]]))  # behind a pad 6 mm thick
-    assert room_around(T[None], np.array([0.06]), inside, gripper=gripper, standoff_m=0.1)[0] < 0
+    assert clearance_around(T[None], np.array([0.06]), inside, gripper=gripper, standoff_m=0.1)[0] < 0
 
 
 def test_a_jaw_in_one_box_has_the_room_of_its_boxes():
@@ -247,7 +249,7 @@ def test_a_jaw_in_one_box_has_the_room_of_its_boxes():
     boxes[:, :, 0, 2] -= 0.1
     for point in rng.uniform(-0.2, 0.2, (200, 3)):
         gap = np.maximum(boxes[:, :, 0] - point, point - boxes[:, :, 1]).max(axis=2).min(axis=1)
-        room = room_around(T, opening, point[None], gripper=gripper, standoff_m=0.1)
+        room = clearance_around(T, opening, point[None], gripper=gripper, standoff_m=0.1)
         np.testing.assert_allclose(room, gap, atol=1e-7)
 
 
@@ -255,12 +257,12 @@ def test_a_grasp_at_the_centre_of_mass_carries_most_and_one_beside_it_less():
     down = np.column_stack([(1.0, 0, 0), (0, -1.0, 0), (0, 0, -1.0)])
     T = np.stack([make_T(down, place) for place in ((0, 0, 0), (0.05, 0, 0), (0.1, 0, 0), (0, 0, 0.1))])
     levers = np.full((4, 3), 0.02)
-    share = carried_share(T, levers, np.zeros(3), np.array([0.0, 0, 1]), friction=0.5, sway=0.3)
+    share = load_ratio(T, levers, np.zeros(3), np.array([0.0, 0, 1]), friction=0.5, sway=0.3)
     assert share[0] == pytest.approx(1 / np.hypot(1, 0.3), rel=1e-3)
     assert share[0] > share[1] > share[2] > 0
     # Hung 10 cm below the jaws, only the sway has a lever: 2 mu 0.3 * 0.1 m / 0.02 m.
     assert share[3] == pytest.approx(1 / np.sqrt(1 + 0.3**2 + 1.5**2))
-    level = carried_share(T, levers, np.zeros(3), np.array([0.0, 0, 1]), friction=0.5, sway=0.0)
+    level = load_ratio(T, levers, np.zeros(3), np.array([0.0, 0, 1]), friction=0.5, sway=0.0)
     assert level[3] == pytest.approx(1.0)
     assert level[1] == pytest.approx(1 / np.hypot(1, 0.05 / 0.02))
 
@@ -272,7 +274,7 @@ def test_each_lever_resists_the_turn_about_its_own_axis():
 
     def share(levers, place=(0, 0, 0)):
         T = make_T(down, place)[None]
-        return carried_share(T, np.array([levers]), np.zeros(3), up, friction=0.5, sway=0.0)[0]
+        return load_ratio(T, np.array([levers]), np.zeros(3), up, friction=0.5, sway=0.0)[0]
 
     along_x, along_y = (share((0.01, 0.02, 0.04), place) for place in ((0.05, 0, 0), (0, 0.05, 0)))
     assert along_x == pytest.approx(1 / np.hypot(1, 0.05 / 0.02))
@@ -299,7 +301,9 @@ def test_jaws_that_reach_beyond_the_body_stay_two_boxes():
         (Gripper(stroke_m=0.2), 0.16, (0, 0.083, -0.13)),
         (Gripper(body=(Box((0, 0, -0.085), (0.03, 0.02, 0.03)),)), 0.06, (0, 0.033, -0.13)),
     ):
-        room = room_around(np.eye(4)[None], np.array([opening]), np.array([place]), gripper=gripper, standoff_m=0.1)
+        room = clearance_around(
+            np.eye(4)[None], np.array([opening]), np.array([place]), gripper=gripper, standoff_m=0.1
+        )
         assert room[0] == pytest.approx(0.003, abs=1e-6)
 
 

@@ -19,7 +19,7 @@ def cast_closing_lines(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Lines along which two jaws could close, both normals within the friction cone.
 
-    A ray is cast inwards from each sample and every place where it leaves the solid again is an end: the far side of a
+    A ray is cast inwards from each sample, and every place where it leaves the solid again is an end: the far side of a
     wall (a pinch at a rim or a handle) as well as the far side of the whole object.
 
     Args:
@@ -79,7 +79,7 @@ def poses_about(
 
 
 def _spread(points: np.ndarray, count: int, rng: np.random.Generator) -> np.ndarray:
-    """Indices of at most count of the points (n, 4) m, taken from all cells that are occupied in turns."""
+    """Indices of at most count points (n, 4) m, taken in turns from all cells that have points."""
     shuffled = rng.permutation(len(points))
     _, cell = np.unique(np.floor(points[shuffled] / _CELL_M).astype(np.int64), axis=0, return_inverse=True)
     by_cell = np.argsort(cell, kind="stable")

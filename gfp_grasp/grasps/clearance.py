@@ -1,4 +1,4 @@
-"""Room around the gripper on its way in: swept boxes against surface points and against the support."""
+"""Clearance of the gripper on its way in: swept boxes against surface points and against the support."""
 
 from itertools import product
 
@@ -11,7 +11,7 @@ from gfp_grasp.types import SupportPlane
 _CHUNK = 2_000_000
 
 
-def room_around(
+def clearance_around(
     T_world_gripper: np.ndarray,
     opening_m: np.ndarray,
     points: np.ndarray,
@@ -25,18 +25,18 @@ def room_around(
         T_world_gripper: (p, 4, 4) final poses.
         opening_m: (p,) jaw openings.
         points: (n, 3) m, world frame.
-        gripper: Its boxes.
+        gripper: The boxes of the gripper.
         standoff_m: Length of the approach along the gripper's z.
 
     Returns:
         (p,) m in the largest norm of the gripper's axes; negative where a point is inside of a swept box.
     """
     boxes = gripper.swept(opening_m, standoff_m)
-    room = np.empty(len(boxes))
+    clearance = np.empty(len(boxes))
     for some, local in _in_gripper_frame(T_world_gripper, points):
         gaps = [_gap(local, boxes[some, b].astype(np.float32)) for b in range(boxes.shape[1])]
-        room[some] = np.min(gaps, axis=0)
-    return room
+        clearance[some] = np.min(gaps, axis=0)
+    return clearance
 
 
 def height_above(

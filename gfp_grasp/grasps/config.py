@@ -5,6 +5,16 @@ from dataclasses import dataclass, field, fields
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.grasps.gripper import Gripper
 
+# Knobs with limits of their own, or with none.
+_MAY_BE_ZERO_OR_LESS = (
+    "gripper",
+    "max_climb",
+    "table_clearance_m",
+    "min_jaw_clearance_m",
+    "min_sweep_clearance_m",
+    "sway",
+)
+
 
 @dataclass(frozen=True)
 class GraspConfig:
@@ -12,29 +22,31 @@ class GraspConfig:
 
     Attributes:
         num_rays: Surface points from which closing lines are cast.
-        num_lines: Closing lines that are kept, at most, spread evenly over the object: a slim neck on a wide bottle has
+        num_lines: Most closing lines that are kept, spread evenly over the object: a slim neck on a wide bottle has
             little surface, but may be all that fits between the jaws.
         num_directions: Approach directions tried about each closing axis, evenly over the turn.
-        tip_offset_m: Besides grasps with the closing line through the middle of the pads, there are such with the line
-            this much nearer to their tips: necks and rims are often too short for a whole pad.
-        tip_preference: Quality of these over the others.
-        num_looks: Poses that are looked at with a few points, at most.
-        num_poses: Poses that are checked thoroughly, at most.
+        tip_offset_m: Besides grasps with the closing line through the middle of the pads, there are grasps with the
+            line this much nearer to the pads' tips: necks and rims are often too short for a whole pad.
+        tip_preference: Quality of a grasp near the tips over one through the middle of the pads.
+        num_looks: Most poses that are looked at with a few points.
+        num_poses: Most poses that are checked thoroughly.
         num_points: Surface points that stand for the object in collision and contact checks.
         friction: Coulomb coefficient; both contact normals must lie within its cone about the closing axis.
-        jaw_clearance_m: Room to either side of the object before the jaws close, where the stroke allows it.
-        min_clearance_m: Least room to either side; the widest graspable object is the stroke less twice this.
-        least_room_m: Least room around the whole gripper on its way in; samples of a surface miss about as much of it.
-        good_clearance_m: Room around the gripper from which on more of it does not raise the quality.
+        jaw_clearance_m: Clearance to either side of the object before the jaws close, where the stroke allows it.
+        min_jaw_clearance_m: Least clearance to either side; the widest graspable object is the stroke less twice this.
+        min_sweep_clearance_m: Least clearance of the whole gripper on its way in; samples of a surface miss about as
+            much.
+        good_sweep_clearance_m: Clearance of the gripper on its way in from which on more does not raise the quality.
         table_clearance_m: Least height of the gripper above the support.
         standoff_m: Length of the straight approach.
         max_climb: Largest component of the approach direction along up; 0.1 is 6 degrees from below level.
         side_preference: Quality of a level approach over that of one straight down.
         sway: Sideways acceleration that the object is to be carried against, as a share of gravity.
         doubt_length_m: Standard deviation of the surface's position that costs unseen contact a factor e.
-        neighbour_gap_m: What was seen farther than this from the object and from the support is another object.
+        neighbour_gap_m: Points that were seen farther than this from the object and from the support are another
+            object's.
         hidden_preference: Quality of a grasp whose jaws the object hides over one with both in sight.
-        gripper: Its boxes.
+        gripper: The boxes of the gripper.
     """
 
     num_rays: int = 5000
@@ -47,9 +59,9 @@ class GraspConfig:
     num_points: int = 4000
     friction: float = 0.5
     jaw_clearance_m: float = 0.010
-    min_clearance_m: float = 0.002
-    least_room_m: float = 0.0015
-    good_clearance_m: float = 0.008
+    min_jaw_clearance_m: float = 0.002
+    min_sweep_clearance_m: float = 0.0015
+    good_sweep_clearance_m: float = 0.008
     table_clearance_m: float = 0.004
     standoff_m: float = 0.10
     max_climb: float = 0.1
@@ -63,15 +75,15 @@ class GraspConfig:
     def __post_init__(self) -> None:
         for knob in fields(self):
             value = getattr(self, knob.name)
-            if knob.name in ("gripper", "max_climb", "table_clearance_m", "min_clearance_m", "least_room_m", "sway"):
+            if knob.name in _MAY_BE_ZERO_OR_LESS:
                 continue
             if knob.name.endswith("_preference") and not 0 < value <= 1:
                 raise InvalidOption(f"GraspConfig.{knob.name} is {value}; a share above 0 and up to 1 is expected")
             if not value > 0:
                 raise InvalidOption(f"GraspConfig.{knob.name} is {value}; a positive number is expected")
-        if not 0 <= self.min_clearance_m < self.gripper.stroke_m / 2:
+        if not 0 <= self.min_jaw_clearance_m < self.gripper.stroke_m / 2:
             raise InvalidOption(
-                f"GraspConfig.min_clearance_m is {self.min_clearance_m}; 0 to half the stroke is expected"
+                f"GraspConfig.min_jaw_clearance_m is {self.min_jaw_clearance_m}; 0 to half the stroke is expected"
             )
         if not 0 <= self.sway < float("inf"):
             raise InvalidOption(f"GraspConfig.sway is {self.sway}; zero or a positive finite number is expected")
@@ -81,4 +93,4 @@ class GraspConfig:
     @property
     def max_width_m(self) -> float:
         """The widest object that the jaws close on."""
-        return self.gripper.stroke_m - 2 * self.min_clearance_m
+        return self.gripper.stroke_m - 2 * self.min_jaw_clearance_m

@@ -1,4 +1,4 @@
-"""Where the pads touch: the patches on either side, how squarely they are met and how real they are."""
+"""Where the pads touch: the patches on either side, how squarely they are met and how certain they are."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ class Contacts:
         low_m: (p,) where the jaw at -y first touches, along y from the grasp's origin; NaN where nothing is between.
         high_m: (p,) the same for the jaw at +y.
         squareness: (p,) cosine between closing axis and mean normal, the worse of both patches.
-        realness: (p,) mean over both patches of the points' odds of being where they seem.
+        certainty: (p,) mean over both patches of how certain the points are to be where they seem, 0 to 1.
         levers_m: (p, 3) m with which the pads resist a turn about the gripper's x, y and z, for a unit of grip force;
-            those of the pad that resists it less.
+            the smaller of what the two pads have.
     """
 
     low_m: np.ndarray
     high_m: np.ndarray
     squareness: np.ndarray
-    realness: np.ndarray
+    certainty: np.ndarray
     levers_m: np.ndarray
 
     def take(self, which: np.ndarray) -> Contacts:
-        """Those of some of the grasps."""
+        """Contacts of some of the grasps."""
         return Contacts(*(array[which] for array in vars(self).values()))
 
 
@@ -44,7 +44,7 @@ def find_contacts(
     opening_m: np.ndarray,
     points: np.ndarray,
     normals: np.ndarray,
-    odds: np.ndarray,
+    certainty: np.ndarray,
     *,
     gripper: Gripper,
     friction: float,
@@ -56,8 +56,8 @@ def find_contacts(
         opening_m: (p,) m.
         points: (n, 3) m, world frame.
         normals: (n, 3) outward.
-        odds: (n,) of being real, 0 to 1.
-        gripper: For the extent of its pads.
+        certainty: (n,) how certain the points are to be real, 0 to 1.
+        gripper: Has the extent of the pads.
         friction: Coulomb coefficient.
     """
     near = _between_pads(T_world_gripper, opening_m, points, gripper)
@@ -65,16 +65,16 @@ def find_contacts(
     closing = T_world_gripper[:, :3, 1]
     facing = np.einsum("ki,ki->k", closing[near.pose], normals[near.point])
     sides = [
-        _Patch(near.take((near.local[:, 1] >= high[near.pose] - _TOUCH_M) & (facing > 0)), normals, odds),
-        _Patch(near.take((near.local[:, 1] <= low[near.pose] + _TOUCH_M) & (facing < 0)), normals, odds),
+        _Patch(near.take((near.local[:, 1] >= high[near.pose] - _TOUCH_M) & (facing > 0)), normals, certainty),
+        _Patch(near.take((near.local[:, 1] <= low[near.pose] + _TOUCH_M) & (facing < 0)), normals, certainty),
     ]
     squareness = np.minimum(_cosine(sides[0].normal, closing), _cosine(sides[1].normal, -closing))
-    realness = (sides[0].odds + sides[1].odds) / 2
+    certainty = (sides[0].certainty + sides[1].certainty) / 2
     levers = np.minimum(*(side.levers_m(friction * (high - low), friction) for side in sides))
     missed = ~(np.isfinite(low) & np.isfinite(high) & np.isfinite(squareness))
-    for array in (low, high, squareness, realness, levers):
+    for array in (low, high, squareness, certainty, levers):
         array[missed] = np.nan
-    return Contacts(low, high, squareness, realness, levers)
+    return Contacts(low, high, squareness, certainty, levers)
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +82,7 @@ class _Near:
     """Pairs of a pose and a point between its pads, by pose.
 
     Attributes:
-        num_poses: p, also of those without a pair.
+        num_poses: p, the number of poses, those without a pair among them.
         pose: (k,) numbers, ascending.
         point: (k,) numbers.
         local: (k, 3) m, in the pose's frame.
@@ -97,7 +97,7 @@ class _Near:
         return _Near(self.num_poses, self.pose[which], self.point[which], self.local[which])
 
     def extreme(self, largest_or_least: np.ufunc) -> np.ndarray:
-        """Of y, m, for each pose (p,); NaN where nothing is between its pads."""
+        """Largest or least y, m, for each pose (p,); NaN where nothing is between its pads."""
         found = np.full(self.num_poses, np.nan)
         if len(self.pose):
             starts = np.flatnonzero(np.diff(self.pose, prepend=-1))
@@ -105,7 +105,7 @@ class _Near:
         return found
 
     def means(self, rows: np.ndarray) -> np.ndarray:
-        """Of rows (k, c), for each pose (p, c); NaN where it has none."""
+        """Means of rows (k, c) for each pose (p, c); NaN where it has none."""
         counts = np.bincount(self.pose, minlength=self.num_poses)[:, None]
         sums = np.stack([np.bincount(self.pose, column, minlength=self.num_poses) for column in rows.T], axis=1)
         return np.divide(sums, counts, out=np.full(sums.shape, np.nan), where=counts > 0)
@@ -137,21 +137,21 @@ class _Patch:
 
     Attributes:
         normal: (p, 3) mean normal, not of unit length.
-        odds: (p,) mean odds of being real.
+        certainty: (p,) mean certainty of the points.
         variance: (p, 2) m^2 of the points along the pad's x and z.
     """
 
-    def __init__(self, touched: _Near, normals: np.ndarray, odds: np.ndarray) -> None:
+    def __init__(self, touched: _Near, normals: np.ndarray, certainty: np.ndarray) -> None:
         on_pad = touched.local[:, [0, 2]]
         self.normal = touched.means(normals[touched.point])
-        self.odds = touched.means(odds[touched.point, None])[:, 0]
+        self.certainty = touched.means(certainty[touched.point, None])[:, 0]
         self.variance = np.maximum(touched.means(on_pad**2) - touched.means(on_pad) ** 2, 0.0)
 
     def levers_m(self, across_m: np.ndarray, friction: float) -> np.ndarray:
-        """Levers (p, 3) m against turns about x, y and z, of a unit force on a patch of uniform pressure.
+        """Levers (p, 3) m against turns about x, y and z, for a unit force on a patch of uniform pressure.
 
-        A turn about x or z is resisted by friction on both pads, across_m apart, and by the pressure's moving over the
-        patch; one about the closing axis y by the patch's twisting alone.
+        A turn about x or z is resisted by friction on both pads, across_m apart, and by the pressure, which moves over
+        the patch; a turn about the closing axis y is resisted by the friction of the twisting patch alone.
         """
         extent = np.sqrt(12.0 * self.variance)
         about_y = 2.0 * friction * np.sqrt(self.variance.sum(axis=1))

@@ -56,7 +56,7 @@ class Gripper:
     def swept(self, opening_m: np.ndarray, standoff_m: float) -> np.ndarray:
         """Boxes (p, b, 2, 3) m that the gripper sweeps on a straight approach of so many metres along z.
 
-        Those of a jaw are one where they differ only in what a box of the body sweeps as well.
+        The boxes of a jaw are one box where they differ only in what a box of the body sweeps as well.
         """
         boxes, num = self.solids(opening_m), len(self.jaw)
         if self._jaws_are_one(np.max(opening_m, initial=0.0) / 2, standoff_m):

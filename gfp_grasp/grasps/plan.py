@@ -9,12 +9,12 @@ import trimesh
 
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.grasps.candidates import cast_closing_lines, poses_about
-from gfp_grasp.grasps.clearance import height_above, room_around
+from gfp_grasp.grasps.clearance import clearance_around, height_above
 from gfp_grasp.grasps.config import GraspConfig
 from gfp_grasp.grasps.contact import Contacts, find_contacts
-from gfp_grasp.grasps.sight import hidden_share
 from gfp_grasp.grasps.surface import Graspable, Surface, obstacle_of, surface_of
-from gfp_grasp.grasps.wrench import carried_share
+from gfp_grasp.grasps.visibility import hidden_share
+from gfp_grasp.grasps.wrench import load_ratio
 from gfp_grasp.parallel import one_thread
 from gfp_grasp.types import Grasp, SupportPlane
 
@@ -36,19 +36,20 @@ def plan_grasps(
     seen to stand about. Its quality is a product of factors between 0 and 1:
 
     - squareness: cosine between closing axis and contact normal, the worse side, from the edge of the cone to 1;
-    - carrying: the load that the pads hold by friction and torque against gravity and a sway to any side, as a share of
-      a weight that hangs between them (`wrench.carried_share`);
-    - realness: mean over the contact patch of 1 where the surface was observed, exp(-sigma / doubt_length_m) elsewhere;
-    - room: 1/2 to 1 as the gap around the gripper grows to good_clearance_m;
+    - load ratio: the load that the pads hold by friction and torque against gravity and a sway to any side, over the
+      load that they hold of a weight that hangs between them (`wrench.load_ratio`);
+    - certainty: mean over both contact patches of 1 where the surface was observed, exp(-sigma / doubt_length_m) where
+      it was not;
+    - clearance: 1/2 to 1 as the gap around the gripper grows to good_sweep_clearance_m;
     - approach: 1 from straight above, side_preference on the level;
-    - sight: 1 with both jaws where the camera could see them, hidden_preference where the object hides them: a mug's
-      back may have a handle, and its hollow be less deep than it was completed;
+    - visibility: 1 with both jaws where the camera could see them, hidden_preference where the object hides them: a
+      mug's back may have a handle, and its hollow may be less deep than it was completed;
     - depth: 1 with the closing line through the middle of the pads, tip_preference near their tips.
 
     Args:
         completion: Mesh, parts, what was observed, and its support; world frame.
         num: Grasps wanted, at most; near duplicates are left out.
-        seed: Of all sampling; the same seed gives the same grasps.
+        seed: Seed of all sampling; the same seed gives the same grasps.
         config: Limits and weights.
 
     Returns:
@@ -102,8 +103,8 @@ def _looks_free(poses: _Poses, obstacle: np.ndarray, support: SupportPlane, conf
     """Numbers of the poses that clear the support and a few points of the object."""
     opening, sweep = _opening(poses.width, config), {"gripper": config.gripper, "standoff_m": config.standoff_m}
     free = np.flatnonzero(height_above(poses.T, opening, support, **sweep) >= config.table_clearance_m)
-    room = room_around(poses.T[free], opening[free], obstacle[:_COARSE_POINTS], **sweep)
-    return free[room > 0]
+    gap = clearance_around(poses.T[free], opening[free], obstacle[:_COARSE_POINTS], **sweep)
+    return free[gap > 0]
 
 
 def _close_on(poses: _Poses, surface: Surface, config: GraspConfig) -> tuple[_Poses, Contacts]:
@@ -113,7 +114,7 @@ def _close_on(poses: _Poses, surface: Surface, config: GraspConfig) -> tuple[_Po
         _opening(poses.width, config),
         surface.points,
         surface.normals,
-        surface.odds,
+        surface.certainty,
         gripper=config.gripper,
         friction=config.friction,
     )
@@ -139,17 +140,18 @@ def _quality(
     cone = 1.0 / np.hypot(1.0, config.friction)
     square = np.clip((contacts.squareness - cone) / (1.0 - cone), 0.0, 1.0)
     square[height_above(T, opening, support, **sweep) < config.table_clearance_m] = 0.0
-    room = np.zeros(len(T))
-    room[square > 0] = room_around(T[square > 0], opening[square > 0], obstacle, **sweep)
-    roominess = np.where(room > config.least_room_m, 0.5 + 0.5 * np.clip(room / config.good_clearance_m, 0.0, 1.0), 0.0)
+    gap = np.zeros(len(T))
+    gap[square > 0] = clearance_around(T[square > 0], opening[square > 0], obstacle, **sweep)
+    free = gap > config.min_sweep_clearance_m
+    clearance = np.where(free, 0.5 + 0.5 * np.clip(gap / config.good_sweep_clearance_m, 0.0, 1.0), 0.0)
     centre = _centre_of(completion.mesh)
-    carried = carried_share(T, contacts.levers_m, centre, up, friction=config.friction, sway=config.sway)
+    carried = load_ratio(T, contacts.levers_m, centre, up, friction=config.friction, sway=config.sway)
     steepness = np.clip(-T[:, :3, 2] @ up, 0.0, 1.0)
     approach = config.side_preference + (1.0 - config.side_preference) * steepness
     depth = np.where(poses.at_tip, config.tip_preference, 1.0)
-    quality = square * carried * contacts.realness * roominess * approach * depth
+    quality = square * carried * contacts.certainty * clearance * approach * depth
     good = np.flatnonzero(quality > 0)
-    quality[good] *= _sight(T[good], opening[good], completion, config)
+    quality[good] *= _visibility(T[good], opening[good], completion, config)
     return quality
 
 
@@ -157,7 +159,7 @@ def _centre_of(mesh: trimesh.Trimesh) -> np.ndarray:
     return mesh.center_mass if mesh.is_volume else mesh.centroid
 
 
-def _sight(T: np.ndarray, opening: np.ndarray, completion: Graspable, config: GraspConfig) -> np.ndarray:
+def _visibility(T: np.ndarray, opening: np.ndarray, completion: Graspable, config: GraspConfig) -> np.ndarray:
     viewpoint = completion.detection.cloud.viewpoint
     if viewpoint is None or config.hidden_preference == 1:
         return np.ones(len(T))

@@ -21,7 +21,7 @@ class Planner(Protocol):
     def __call__(self, completion: Graspable, num: int, *, seed: int) -> Sequence[Grasp]: ...
 
 
-# To it a guessed surface is as good as one that was seen, and what is hidden is free.
+# For this planner a guessed surface is as good as one that was seen, and what is hidden is free.
 _TRUSTING = GraspConfig(doubt_length_m=float("inf"), hidden_preference=1.0)
 PLANNERS: dict[str, Planner] = {
     "antipodal": plan_grasps,
@@ -35,8 +35,7 @@ def get_planner(name: str) -> Planner:
 
     Args:
         name: `antipodal` (`plan_grasps`), `trusting` (the same, with no price on what was not seen), `top-down`
-            (`plan_top_down`), or `package.module:function`, a function like
-            these two.
+            (`plan_top_down`), or `package.module:function`, a function like these.
 
     Raises:
         InvalidOption: It is none of these, or cannot be imported.

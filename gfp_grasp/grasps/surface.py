@@ -1,4 +1,4 @@
-"""What the planner feels for: samples of a completed surface, of its parts and of what stands about."""
+"""Samples that the planner works on: of a completed surface, of its parts and of what stands about."""
 
 from __future__ import annotations
 
@@ -39,23 +39,23 @@ class Surface:
     Attributes:
         points: (n, 3) m, world frame.
         normals: (n, 3) outward.
-        odds: (n,) of being real, 0 to 1.
+        certainty: (n,) how certain the points are to be real, 0 to 1.
     """
 
     points: np.ndarray
     normals: np.ndarray
-    odds: np.ndarray
+    certainty: np.ndarray
 
 
 def surface_of(completion: Graspable, config: GraspConfig, rng: np.random.Generator) -> Surface:
     """`config.num_points` samples of the completed mesh."""
     mesh = completion.mesh
     points, normals, face = sample_surface(mesh, config.num_points, rng)
-    return Surface(points, normals, _odds(completion, config)[mesh.faces[face]].mean(axis=1))
+    return Surface(points, normals, _certainty(completion, config)[mesh.faces[face]].mean(axis=1))
 
 
 def obstacle_of(completion: Graspable, surface: Surface, config: GraspConfig, rng: np.random.Generator) -> np.ndarray:
-    """Points (k, 3) m that the gripper keeps clear of, in no order: of the mesh, its parts, and what stands about."""
+    """Points (k, 3) m that the gripper keeps clear of, in no order: on the mesh, its parts, and what stands about."""
     parts = [part for part in completion.parts if part.area > 0]
     areas = np.array([part.area for part in parts])
     counts = np.ceil(config.num_points / 2 * areas / areas.sum()).astype(int) if len(parts) else []
@@ -65,8 +65,8 @@ def obstacle_of(completion: Graspable, surface: Surface, config: GraspConfig, rn
     return rng.permutation(np.concatenate([surface.points, *of_parts, *corners, neighbours]))
 
 
-def _odds(completion: Graspable, config: GraspConfig) -> np.ndarray:
-    """Odds (v,) that a vertex is where it was completed; none where nobody says how sure it is."""
+def _certainty(completion: Graspable, config: GraspConfig) -> np.ndarray:
+    """How certain each vertex (v,) is to be where it was completed; 0 where nobody says how certain it is."""
     if np.isinf(config.doubt_length_m):
         return np.ones(len(completion.observed))
     guessed = np.exp(-np.nan_to_num(completion.sigma_m, nan=np.inf) / config.doubt_length_m)
@@ -74,7 +74,7 @@ def _odds(completion: Graspable, config: GraspConfig) -> np.ndarray:
 
 
 def _neighbours(detection: Detection, config: GraspConfig) -> np.ndarray:
-    """Points (n, 3) m of what else stands about: off the support, and off the object."""
+    """Points (n, 3) m on what else stands about: off the support, and off the object."""
     view, support = detection.view, detection.support
     if view is None or support is None:
         return np.empty((0, 3))

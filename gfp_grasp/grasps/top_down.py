@@ -20,10 +20,10 @@ def plan_top_down(
     """Vertical grasps over the middle of the observed points; the completed shape is not looked at.
 
     Args:
-        completion: Of which only the detection is used; world frame.
+        completion: World frame; only its detection is used.
         num: Grasps wanted, at most.
         seed: Unused; every planner has it.
-        config: Of the gripper, its clearances and its table.
+        config: Gripper, clearances and the height above the table.
 
     Returns:
         Up to num grasps, those across the narrowest width first; none where the jaws take no width.

@@ -1,4 +1,4 @@
-"""What a grasp can carry: friction and torque limits of its pads against the pull of the object's weight."""
+"""What a grasp can carry: limits of friction and torque at its pads against the pull of the object's weight."""
 
 import numpy as np
 
@@ -6,7 +6,7 @@ _NUM_SWAYS = 8  # directions around
 _LEAST_LEVER_M = 1e-4
 
 
-def carried_share(
+def load_ratio(
     T_world_gripper: np.ndarray,
     levers_m: np.ndarray,
     centre: np.ndarray,
@@ -15,17 +15,17 @@ def carried_share(
     friction: float,
     sway: float,
 ) -> np.ndarray:
-    """The load that a grasp holds, as a share of what its jaws hold of a weight that hangs between them.
+    """The load that a grasp holds, over what its jaws hold of a weight that hangs between them.
 
     The pads' limit surface is taken for an ellipsoid (Howe and Cutkosky 1996, "Practical force-motion models for
     sliding manipulation"): a force f across the closing axis and torques t slip once (f / (2 mu N))^2 + sum (t_i /
-    (lever_i N))^2 is 1, N the grip force. A force along the closing axis is left to the jaws' own strength. The pull is
-    gravity with a sway to each of eight sides; the worst counts.
+    (lever_i N))^2 is 1, N the grip force. The jaws' own strength bears a force along the closing axis. The pull is
+    gravity with a sway to each of eight sides; the worst of the eight counts.
 
     Args:
         T_world_gripper: (p, 4, 4), m.
-        levers_m: (p, 3) m of the pads against turns about the gripper's axes, for a unit of grip force.
-        centre: (3,) m of mass.
+        levers_m: (p, 3) m, levers of the pads against turns about the gripper's x, y and z, for a unit of grip force.
+        centre: (3,) m, the object's centre of mass.
         up: (3,) unit, against gravity.
         friction: Coulomb coefficient mu.
         sway: Sideways acceleration, as a share of gravity.

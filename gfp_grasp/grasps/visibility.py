@@ -16,14 +16,15 @@ def hidden_share(
 ) -> np.ndarray:
     """Share of the jaws that an object hides from a viewpoint, behind it as well as in its own hollow.
 
-    What is hidden may be free, or a part of the object that was not completed: a handle, or a floor higher up.
+    A hidden place may be free, or it may hold a part of the object that was not completed: a handle, or a floor that is
+    higher up.
 
     Args:
         T_world_gripper: (p, 4, 4) final poses.
         opening_m: (p,) jaw openings.
         mesh: The completed object.
         viewpoint: (3,) m, from where it was seen.
-        gripper: Its boxes.
+        gripper: The boxes of the gripper.
 
     Returns:
         (p,) from 0 to 1.
