@@ -26,8 +26,8 @@ class ActionCode:
     | 6:9 | closing axis (gripper's y), world frame, any length; made square to the approach | | |
     | 9 | opening of the jaws before they close, m | 0 | max_width |
 
-    An approach shorter than 1e-4 means straight down; a closing axis that is too short or along the approach means any
-    level one, so that every vector of the box is a grasp.
+    An approach shorter than 1e-4 means straight down. A closing axis that is too short, or along the approach, means
+    some axis square to the approach. So every vector of the box is a grasp.
 
     Attributes:
         centre_m: Centre of the workspace box, world frame.
