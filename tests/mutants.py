@@ -66,7 +66,7 @@ def main() -> None:
     start = time.perf_counter()
     with tempfile.TemporaryDirectory(prefix="mutants") as folder:
         trees = [_copy(options.root, Path(folder) / str(n)) for n in range(options.jobs)]
-        _enter(trees[0], options.warm.split())
+        _enter(options.package, options.warm.split())
         drawn = draw(trees[0], options.package, options.rooms, options.count, options.seed)
         _say(f"{len(drawn)} changes drawn")
         records = _records(trees, options.package, options.tests, Path(folder))
@@ -168,7 +168,7 @@ def _copy(root: Path, tree: Path) -> Path:
     return tree
 
 
-def _enter(tree: Path, libraries: list[str]) -> None:
+def _enter(package: str, libraries: list[str]) -> None:
     for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ[name] = "1"
     os.environ["PYTHONDONTWRITEBYTECODE"] = "1"
@@ -177,8 +177,10 @@ def _enter(tree: Path, libraries: list[str]) -> None:
     for name in libraries:
         with contextlib.suppress(ImportError):
             importlib.import_module(name)
-    with contextlib.redirect_stdout(io.StringIO()):
-        pytest.main(["--version", "--version"])  # loads the plugins
+    with contextlib.redirect_stdout(io.StringIO()), tempfile.TemporaryDirectory() as empty:
+        pytest.main(["--version", "--version", "-c", os.devnull, "--rootdir", empty, empty])  # loads the plugins
+    if package in sys.modules:
+        raise SystemExit(f"{package} was loaded before it was changed: no change would be seen")
     gc.freeze()  # what is loaded is not searched for garbage after each change
 
 

@@ -13,6 +13,7 @@ from pathlib import Path
 import coverage
 import pytest
 
+LONGEST_S = 120.0  # of processor time, for one file
 Lines = dict[str, dict[int, set[str]]]  # module, line, tests
 
 
@@ -125,6 +126,8 @@ class _Recorder:
         self.failed: set[str] = set()
         self._users: dict[str, set[str]] = defaultdict(set)
         self._context = ""
+        self._session: pytest.Session | None = None
+        self._begun = time.process_time()
 
     def tests_of(self, contexts: Iterable[str]) -> set[str]:
         tests: set[str] = set()
@@ -157,6 +160,13 @@ class _Recorder:
             return (yield)
         finally:
             self._switch(before)
+
+    def pytest_runtest_logfinish(self) -> None:
+        if time.process_time() - self._begun > LONGEST_S and self._session is not None:
+            self._session.shouldstop = "the record of this file takes too long; later tests are not used"
+
+    def pytest_sessionstart(self, session: pytest.Session) -> None:
+        self._session = session
 
     def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
         if not report.passed:

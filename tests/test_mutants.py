@@ -59,6 +59,7 @@ def toy(tmp_path: Path) -> Path:
         "toy/__init__.py": "",
         "toy/area.py": AREA,
         "tests/test_area.py": TESTS,
+        "tests/conftest.py": "import toy.area\n",
         "pyproject.toml": "",
     }.items():
         (tmp_path / name).parent.mkdir(exist_ok=True)
@@ -140,7 +141,8 @@ def _survey(toy: Path) -> dict:
     ]
     environment = os.environ | {"XDG_CACHE_HOME": str(toy / "cache")}
     out = toy / "results.json"
-    subprocess.run([*command, "--json", str(out), "--count", "50"], env=environment, check=True, capture_output=True)
+    command += ["--json", str(out), "--count", "50"]
+    subprocess.run(command, cwd=toy, env=environment, check=True, capture_output=True)
     return json.loads(out.read_text(encoding="utf-8"))
 
 
