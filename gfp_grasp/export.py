@@ -15,7 +15,7 @@ import numpy as np
 import trimesh
 from numpy.typing import ArrayLike
 
-from gfp_grasp.collision.convex import MIN_THICKNESS_M, convex_part
+from gfp_grasp.collision import MIN_THICKNESS_M, convex_part
 from gfp_grasp.errors import InvalidMesh, InvalidOption
 from gfp_grasp.types import ConvexPart
 

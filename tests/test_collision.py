@@ -12,16 +12,9 @@ import trimesh
 
 from gfp_grasp.bench.hostile_meshes import hostile_mesh
 from gfp_grasp.collision import DecomposeConfig, decompose, hull
-from gfp_grasp.collision.convex import (
-    MIN_THICKNESS_M,
-    PartFaces,
-    convex_part,
-    convex_parts,
-    needed_corners,
-    volume_m3,
-    within_parts,
-)
+from gfp_grasp.collision.convex import MIN_THICKNESS_M, convex_part, convex_parts, needed_corners
 from gfp_grasp.collision.fidelity import union_error_m, volume_ratios
+from gfp_grasp.collision.parts import PartFaces, volume_m3, within_parts
 from gfp_grasp.errors import DecompositionFailed, InvalidMesh, InvalidOption
 from gfp_grasp.types import ConvexPart
 

@@ -5,9 +5,9 @@ import pytest
 import trimesh
 from bodies import l_parts, l_shape
 
-from gfp_grasp.collision import DecomposeConfig, decompose, decomposition, hull
-from gfp_grasp.collision.decomposition import _variation
-from gfp_grasp.collision.guard import ChildLostError
+from gfp_grasp.collision import DecomposeConfig, attempts, decompose, hull
+from gfp_grasp.collision.attempts import _variation
+from gfp_grasp.collision.engines.guard import ChildLostError
 from gfp_grasp.errors import DecompositionFailed
 
 L, PARTS = l_shape(), l_parts()
@@ -21,7 +21,7 @@ class Engine:
         self.asked: list[dict] = []
         self._lost, self._hulls = list(lost), hulls
         self._said = {"memory_limit": memory_limit, "unknown_options": list(unknown)}
-        monkeypatch.setattr(decomposition, "run_guarded", self.run)
+        monkeypatch.setattr(attempts, "run_guarded", self.run)
 
     def run(self, vertices, faces, options, **limits):
         self.asked.append({"vertices": vertices, "options": options, **limits})

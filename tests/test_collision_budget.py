@@ -5,14 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
-from test_collision_carry import CUP, FLOOR, HEIGHT, INNER, TEMPLATE, completed, primitive, tapered
+from test_collision_deformed import CUP, FLOOR, HEIGHT, INNER, TEMPLATE, completed, primitive, tapered
 
-from gfp_grasp.collision import CollisionConfig, carry_parts, collision_of, hull
-from gfp_grasp.collision.budget import fewer_corners
-from gfp_grasp.collision.cavity import ball_radii_m, held_by, widest_gap
+from gfp_grasp.collision import CollisionConfig, collision_of, deform_parts, hull
+from gfp_grasp.collision.cavity import ball_radii_m, barycentric_hold, widest_gap
 from gfp_grasp.collision.choice import _levels
-from gfp_grasp.collision.convex import PartFaces, convex_part, volume_m3
-from gfp_grasp.collision.merging import groups_of, merge_tree
+from gfp_grasp.collision.convex import convex_part, fewer_corners
+from gfp_grasp.collision.levels import groups_of, merge_tree
+from gfp_grasp.collision.parts import PartFaces, volume_m3
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.primitives import load_primitive
 from gfp_grasp.types import CompletedShape, ConvexPart, FittedPrimitive, GenericPrimitive
@@ -69,7 +69,7 @@ def test_corners_in_one_plane_are_left_for_one_that_is_not():
 @pytest.mark.parametrize(("parts", "vertices"), [(1, 4), (3, 4), (5, 5), (5, None), (64, 64)])
 def test_a_budget_is_met_exactly(parts, vertices):
     config = CollisionConfig(max_parts=parts, max_vertices_per_part=vertices)
-    found = carry_parts(TEMPLATE, tapered(CUP.vertices), count=config.max_parts, max_vertices=vertices)
+    found = deform_parts(TEMPLATE, tapered(CUP.vertices), count=config.max_parts, max_vertices=vertices)
     assert len(found) == min(parts, 5)
     assert all(len(part.vertices) <= (vertices or 1000) for part in found)
 
@@ -102,7 +102,7 @@ def test_a_tolerance_that_nothing_meets_gives_the_best_with_a_warning(monkeypatc
     monkeypatch.setattr("gfp_grasp.collision.choice.decompose", five_boxes)
     filled = primitive(CUP, (ConvexPart(CUP.convex_hull.vertices, CUP.convex_hull.faces),))
     with pytest.warns(
-        RuntimeWarning, match=r"1.0 mm on average, 2.0 mm for 95 %; carried parts miss .* leave 0% of the ball"
+        RuntimeWarning, match=r"1.0 mm on average, 2.0 mm for 95 %; deformed parts miss .* leave 0% of the ball"
     ):
         found = collision_of(completed(CUP, filled), config=CollisionConfig(tolerance_m=1e-4))
     assert len(found.parts) == 5
@@ -126,14 +126,14 @@ def test_a_convex_thing_has_no_gap():
 def test_a_place_moves_with_the_vertices_around_it():
     rng = np.random.default_rng(0)
     vertices, place = rng.normal(size=(200, 3)), np.array([0.1, -0.2, 0.3])
-    index, weights = held_by(place, vertices)
+    index, weights = barycentric_hold(place, vertices)
     turn, shift = np.array([[0.0, -1, 0], [1, 0, 0], [0, 0, 1]]), np.array([1.0, 2, 3])
     moved = (1.3 * vertices @ turn.T + shift)[index]
     np.testing.assert_allclose(weights @ moved, 1.3 * turn @ place + shift, atol=1e-9)
 
 
 def test_a_filled_inside_is_no_true_set_of_parts_however_near_its_surface(monkeypatch):
-    monkeypatch.setattr("gfp_grasp.collision.choice._CARRIED_LIMIT", 1.0)
+    monkeypatch.setattr("gfp_grasp.collision.choice._ERROR_LIMIT", 1.0)
     called = []
 
     def five_boxes(mesh, config):
@@ -198,7 +198,7 @@ def test_numbers_of_numpy_are_numbers():
 @pytest.mark.parametrize("options", [{"count": 0}, {"max_vertices": 3}])
 def test_less_than_a_part_of_four_corners_is_refused(options):
     with pytest.raises(InvalidOption, match="at least one of four"):
-        carry_parts(TEMPLATE, CUP.vertices, **options)
+        deform_parts(TEMPLATE, CUP.vertices, **options)
 
 
 @pytest.mark.parametrize(

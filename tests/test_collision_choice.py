@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import trimesh
 from bodies import AWAY, WEDGE, box_part, l_parts, l_shape
-from test_collision_carry import TEMPLATE, completed
+from test_collision_deformed import TEMPLATE, completed
 
 from gfp_grasp.collision import CollisionConfig, choice, collision_of
 from gfp_grasp.collision.choice import _decomposed_or, _is_true, _levels
@@ -95,7 +95,7 @@ def test_coacds_parts_of_what_no_primitive_explains_are_taken_as_they_are():
 @pytest.mark.parametrize(("fresh_m", "made_by"), [(0.02, "coacd"), (0.04, "carried")])
 def test_of_two_that_miss_their_bound_the_nearer_on_average_is_given(monkeypatch, fresh_m: float, made_by: str):
     monkeypatch.setattr(choice, "decompose", lambda mesh, config: found("coacd", (fresh_m, 0.05, 0.06)))
-    monkeypatch.setattr(choice, "bearer", lambda primitive, count: primitive)
+    monkeypatch.setattr(choice, "matching_primitive", lambda primitive, count: primitive)
     monkeypatch.setattr(choice, "_ball", lambda *_: {})
     carried = found("carried", (0.03, 0.01, 0.02))
     with pytest.warns(RuntimeWarning, match="miss the mesh"):

@@ -38,7 +38,7 @@ def test_both_bounds_are_legal_and_nothing_beyond_them_is(name: str):
 
 @pytest.mark.parametrize("name", ["pca", "merge", "decimate", "extrude", "real_metric", "cache"])
 def test_a_switch_is_true_or_false(name: str):
-    assert getattr(DecomposeConfig(**{name: True}), name) is True
+    assert getattr(DecomposeConfig(**{name: True}), name) is True  # pyright: ignore[reportArgumentType]
     for value in (1, 0, None, "no"):
         with pytest.raises(InvalidOption, match=f"{name}.*True or False"):
             DecomposeConfig(**{name: value})  # pyright: ignore[reportArgumentType]

@@ -5,8 +5,9 @@ import pytest
 import trimesh
 from bodies import AWAY, SLOPE, TURN, WEDGE, WEDGE_M3, box_part
 
-from gfp_grasp.collision.budget import fewer_corners
-from gfp_grasp.collision.convex import PartFaces, convex_part, convex_parts, needed_corners, volume_m3, within_parts
+from gfp_grasp.collision.convex import convex_part, convex_parts, fewer_corners, needed_corners
+from gfp_grasp.collision.parts import PartFaces, parts_from_arrays, parts_to_arrays, volume_m3, within_parts
+from gfp_grasp.errors import InvalidMesh
 from gfp_grasp.types import ConvexPart
 
 
@@ -119,3 +120,43 @@ def test_corners_that_all_lie_in_one_plane_give_way_to_the_one_farthest_from_it(
     height = (kept - AWAY) @ TURN[:, 2]
     assert height.max() == pytest.approx(0.0009)
     assert convex_part(kept) is not None
+
+
+@pytest.mark.parametrize(
+    "parts", [(), (box_part([0, 0, 0], [1, 2, 3]),), (wedge(TURN), box_part([0, 0, 0], [1, 2, 3]))]
+)
+def test_parts_come_out_of_their_arrays_as_they_went_in(parts: tuple[ConvexPart, ...]):
+    arrays = parts_to_arrays(parts, prefix="a/")
+    assert set(arrays) == {"a/sizes", "a/vertices", "a/faces"}
+    assert arrays["a/sizes"].tolist() == [[len(part.vertices), len(part.faces)] for part in parts]
+    back = parts_from_arrays(arrays, prefix="a/")
+    assert len(back) == len(parts)
+    for one, other in zip(parts, back, strict=True):
+        np.testing.assert_array_equal(one.vertices, other.vertices)
+        np.testing.assert_array_equal(one.faces, other.faces)
+    small = parts_to_arrays(parts, dtype=np.float32)
+    assert small["part_vertices"].dtype == np.float32
+    assert [len(part.vertices) for part in parts_from_arrays(small)] == [len(part.vertices) for part in parts]
+
+
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        ({"part_sizes": None}, "lack part_sizes"),
+        ({"part_faces": None}, "lack part_faces"),
+        ({"part_sizes": np.array([[8.0, 12.0]])}, "float64"),
+        ({"part_vertices": np.zeros((8, 3), int)}, "int, float, int"),
+        ({"part_faces": np.zeros((12, 3))}, "int, float, int"),
+        ({"part_sizes": np.array([[8, 3]])}, "from 4 on"),
+        ({"part_sizes": np.array([8, 12])}, "shape"),
+        ({"part_sizes": np.array([[7, 12]])}, "are expected"),
+        ({"part_sizes": np.array([[8, 11]])}, "are expected"),
+        ({"part_vertices": np.full((8, 3), np.nan)}, "not finite"),
+        ({"part_faces": np.full((12, 3), 8)}, "not there"),
+        ({"part_faces": np.full((12, 3), -1)}, "not there"),
+    ],
+)
+def test_arrays_that_are_no_convex_parts_are_refused(change: dict, said: str):
+    arrays = {**parts_to_arrays([box_part([0, 0, 0], [1, 2, 3])]), **change}
+    with pytest.raises(InvalidMesh, match=said):
+        parts_from_arrays({name: array for name, array in arrays.items() if array is not None})

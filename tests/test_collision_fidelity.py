@@ -6,8 +6,9 @@ import trimesh
 from bodies import AWAY, TURN, WEDGE, box_part, l_parts, l_shape, trough
 
 from gfp_grasp.collision.cavity import ball_radii_m, widest_gap
-from gfp_grasp.collision.convex import PartFaces, convex_part
+from gfp_grasp.collision.convex import convex_part
 from gfp_grasp.collision.fidelity import union_error_m, volume_ratios
+from gfp_grasp.collision.parts import PartFaces
 from gfp_grasp.types import ConvexPart
 
 MESH, PARTS = l_shape(), l_parts()

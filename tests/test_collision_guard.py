@@ -15,8 +15,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from gfp_grasp.collision import DecomposeConfig, decompose, guard, pipe
-from gfp_grasp.collision.guard import ChildLostError, close_workers, idle_pids, run_guarded
+from gfp_grasp.collision import DecomposeConfig, decompose
+from gfp_grasp.collision.engines import guard, pipe
+from gfp_grasp.collision.engines.guard import ChildLostError, close_workers, idle_pids, run_guarded
 from gfp_grasp.errors import Cancelled, DecompositionFailed, InvalidMesh
 
 QUICK = DecomposeConfig(mcts_iterations=60, mcts_nodes=10, resolution=1000, cache=False)
@@ -158,7 +159,7 @@ def test_a_lost_attempt_is_told_and_made_up_for(monkeypatch):
             raise ChildLostError("the child ended with SIGABRT")
         return run_guarded(vertices, faces, options, **limits)
 
-    monkeypatch.setattr("gfp_grasp.collision.decomposition.run_guarded", lost_once)
+    monkeypatch.setattr("gfp_grasp.collision.attempts.run_guarded", lost_once)
     found = decompose(box(), config=QUICK)
     assert found.notes["attempts"] == 2
     assert found.notes["lost"] == ("the child ended with SIGABRT",)
@@ -171,7 +172,7 @@ def test_when_all_is_lost_the_error_says_how_often_and_why(monkeypatch):
     def lost(*_, **__):
         raise ChildLostError("the child ended with SIGSEGV")
 
-    monkeypatch.setattr("gfp_grasp.collision.decomposition.run_guarded", lost)
+    monkeypatch.setattr("gfp_grasp.collision.attempts.run_guarded", lost)
     with pytest.raises(DecompositionFailed, match=r"3 of 3 attempts.*SIGSEGV"):
         decompose(box(), config=DecomposeConfig(attempts=3, cache=False))
 
@@ -331,7 +332,7 @@ def test_a_script_without_a_main_guard_prints_what_it_prints_and_nothing_more(tm
 LONG = """
 import signal, sys, numpy as np, trimesh
 signal.signal(signal.SIGINT, signal.default_int_handler)  # a shell's background jobs inherit it ignored
-from gfp_grasp.collision.guard import run_guarded
+from gfp_grasp.collision.engines.guard import run_guarded
 ball = trimesh.creation.icosphere(subdivisions=5, radius=0.1)
 ball.vertices *= 1 + 0.3 * np.sin(ball.vertices[:, :1] * 90)
 options = {"threshold": 0.01, "preprocess_mode": "off", "mcts_iterations": 2000}

@@ -5,9 +5,8 @@ import pytest
 import trimesh
 from bodies import AWAY, TURN, box_part, l_parts, l_shape
 
-from gfp_grasp.collision import levels
-from gfp_grasp.collision.levels import levels_of, part_levels
-from gfp_grasp.collision.merging import groups_of, merge_tree
+from gfp_grasp.collision import decomposition, levels, part_levels
+from gfp_grasp.collision.levels import groups_of, levels_of, merge_tree
 from gfp_grasp.types import CollisionMesh, ConvexPart
 
 
@@ -85,8 +84,8 @@ def test_a_template_of_few_parts_is_cut_more_finely(monkeypatch: pytest.MonkeyPa
         count = counts[len(thresholds) - 1]
         return CollisionMesh(tuple(box_part([i, 0, 0], [i + 1, 1, 1]) for i in range(count)), (0, 0, 0), "coacd", 0.0)
 
-    monkeypatch.setattr(levels, "decompose", some)
-    monkeypatch.setattr(levels, "levels_of", lambda parts, mesh: parts)
+    monkeypatch.setattr(decomposition, "decompose", some)
+    monkeypatch.setattr(decomposition, "levels_of", lambda parts, mesh: parts)
     found = part_levels(l_shape())
     assert thresholds == asked
     assert len(found) == counts[len(asked) - 1]  # pyright: ignore[reportArgumentType]

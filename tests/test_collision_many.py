@@ -14,7 +14,7 @@ import trimesh
 from test_collision_guard import LINUX, children, runs, wait_for
 
 from gfp_grasp.collision import DecomposeConfig, decompose, decompose_many
-from gfp_grasp.collision.guard import close_workers
+from gfp_grasp.collision.engines.guard import close_workers
 from gfp_grasp.errors import Cancelled, DecompositionFailed, InvalidMesh, InvalidOption
 from gfp_grasp.types import CollisionMesh
 

@@ -11,7 +11,7 @@ import pytest
 import trimesh
 
 from gfp_grasp.collision import DecomposeConfig, decompose, hull, store
-from gfp_grasp.collision.guard import ChildLostError, run_guarded
+from gfp_grasp.collision.engines.guard import ChildLostError, run_guarded
 from gfp_grasp.collision.store import CACHE_VARIABLE, decomposition_key, key_of, read_parts, write_parts
 from gfp_grasp.types import CollisionMesh
 
@@ -90,11 +90,13 @@ def test_no_single_wrong_byte_raises_or_changes_what_comes_back(folder: Path):
 @pytest.mark.parametrize(
     "change",
     [
-        {"vertices": np.full((8, 3), np.nan)},
-        {"vertices": np.zeros((7, 3))},
-        {"faces": np.full((12, 3), 8, np.int32)},
-        {"faces": np.full((12, 3), -1, np.int32)},
-        {"num_vertices": np.array([], int)},
+        {"part_vertices": np.full((8, 3), np.nan)},
+        {"part_vertices": np.zeros((7, 3))},
+        {"part_faces": np.full((12, 3), 8, np.int32)},
+        {"part_faces": np.full((12, 3), -1, np.int32)},
+        {"part_sizes": np.zeros((0, 2), int)},
+        {"part_sizes": np.array([[7, 12]])},
+        {"part_sizes": np.array([[8, 3]])},
         {"meta": np.array("[]")},
         {"meta": np.array("{}")},
     ],
@@ -149,7 +151,7 @@ def test_parts_made_coarse_by_a_lack_of_time_are_not_kept(folder: Path, monkeypa
                 raise ChildLostError("lost", out_of_time=out_of_time)
             return run_guarded(*given, **limits)
 
-        monkeypatch.setattr("gfp_grasp.collision.decomposition.run_guarded", lost_once)
+        monkeypatch.setattr("gfp_grasp.collision.attempts.run_guarded", lost_once)
         assert decompose(box(), config=QUICK).notes["attempts"] == 2
         assert len(list(folder.glob("*"))) == kept
 

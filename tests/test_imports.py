@@ -38,9 +38,6 @@ HEAVY = {
 MODULES = sorted(PACKAGE.rglob("*.py"))
 # Imports past a face that are still there, as "room -> module": strike out what you mend, add nothing.
 PAST_FACES = {
-    "bench -> collision.convex",
-    "bench -> collision.fidelity",
-    "bench -> collision.guard",
     "bench -> deform.gfpnet",
     "bench -> deform.patches",
     "bench -> envs.creep",
@@ -56,10 +53,6 @@ PAST_FACES = {
     "deform -> register.evidence",
     "deform -> register.pcrnet",
     "demo -> captures.read",
-    "export -> collision.convex",
-    "scenes -> collision.convex",
-    "scenes -> collision.fidelity",
-    "scenes -> collision.store",
     "train -> deform.gfpnet",
     "train -> deform.patches",
     "train -> detect.classifier",

@@ -18,9 +18,7 @@ import trimesh
 
 from gfp_grasp.bench.rows import Row
 from gfp_grasp.bench.views import procedural_classes, view_object
-from gfp_grasp.collision import DecomposeConfig, collision_of, decompose, hull
-from gfp_grasp.collision.convex import within_parts
-from gfp_grasp.collision.fidelity import union_error_m
+from gfp_grasp.collision import DecomposeConfig, collision_of, decompose, hull, union_error_m, within_parts
 from gfp_grasp.complete import complete_to_mesh
 from gfp_grasp.completion import Completion
 from gfp_grasp.envs.pace import held_steps_per_s

@@ -26,8 +26,7 @@ import trimesh
 
 from gfp_grasp.bench.hostile_meshes import KINDS, hostile_mesh
 from gfp_grasp.bench.rows import Row
-from gfp_grasp.collision import DecomposeConfig, decompose, hull
-from gfp_grasp.collision.guard import close_workers, idle_pids
+from gfp_grasp.collision import DecomposeConfig, close_workers, decompose, hull, idle_pids
 from gfp_grasp.errors import GfpGraspError, InvalidOption
 from gfp_grasp.meshes import check_mesh, make_solid
 from gfp_grasp.types import CollisionMesh, ConvexPart

@@ -1,40 +1,71 @@
-"""Convex parts that stand for a mesh: CoACD or V-HACD in a guarded child process, or a template's parts carried along.
+"""Convex parts that stand for a mesh: made by CoACD, V-HACD or plane cuts, or a primitive's parts deformed with it.
 
-Importing this package loads neither engine nor scipy: the guard's child process imports it too, and starts faster so.
+The way to the parts of a completed shape is `collision_of`, to those of any mesh `decompose`. Importing this package
+loads neither engine nor scipy: the child process of an engine imports it too, and starts faster so.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from gfp_grasp.collision.budget import CollisionConfig
-    from gfp_grasp.collision.carry import carry_parts
     from gfp_grasp.collision.choice import collision_of
-    from gfp_grasp.collision.config import DecomposeConfig
-    from gfp_grasp.collision.decomposition import decompose, hull
-    from gfp_grasp.collision.levels import part_levels
+    from gfp_grasp.collision.config import CollisionConfig, DecomposeConfig
+    from gfp_grasp.collision.convex import MIN_THICKNESS_M, convex_part
+    from gfp_grasp.collision.cutting import cut_parts
+    from gfp_grasp.collision.decomposition import decompose, hull, part_levels
+    from gfp_grasp.collision.deformed import deform_parts
+    from gfp_grasp.collision.engines.guard import close_workers, idle_pids
+    from gfp_grasp.collision.fidelity import union_error_m
     from gfp_grasp.collision.many import decompose_many
+    from gfp_grasp.collision.parts import parts_from_arrays, parts_to_arrays, within_parts
+    from gfp_grasp.collision.store import CACHE_VARIABLE, key_of, read_parts, write_parts
 
 __all__ = [
+    "CACHE_VARIABLE",
+    "MIN_THICKNESS_M",
     "CollisionConfig",
     "DecomposeConfig",
-    "carry_parts",
+    "close_workers",
     "collision_of",
+    "convex_part",
+    "cut_parts",
     "decompose",
     "decompose_many",
+    "deform_parts",
     "hull",
+    "idle_pids",
+    "key_of",
     "part_levels",
+    "parts_from_arrays",
+    "parts_to_arrays",
+    "read_parts",
+    "union_error_m",
+    "within_parts",
+    "write_parts",
 ]
 
 _HOMES = {
-    "CollisionConfig": "budget",
+    "CACHE_VARIABLE": "store",
+    "MIN_THICKNESS_M": "convex",
+    "CollisionConfig": "config",
     "DecomposeConfig": "config",
-    "carry_parts": "carry",
+    "close_workers": "engines.guard",
     "collision_of": "choice",
+    "convex_part": "convex",
+    "cut_parts": "cutting",
     "decompose": "decomposition",
     "decompose_many": "many",
+    "deform_parts": "deformed",
     "hull": "decomposition",
-    "part_levels": "levels",
+    "idle_pids": "engines.guard",
+    "key_of": "store",
+    "part_levels": "decomposition",
+    "parts_from_arrays": "parts",
+    "parts_to_arrays": "parts",
+    "read_parts": "store",
+    "union_error_m": "fidelity",
+    "within_parts": "parts",
+    "write_parts": "store",
 }
 
 

@@ -6,7 +6,7 @@ import numpy as np
 import trimesh
 from scipy.spatial import ConvexHull, KDTree, QhullError
 
-from gfp_grasp.collision.convex import PartFaces, lengths
+from gfp_grasp.collision.parts import PartFaces, lengths
 
 _DRAWN = 6000
 LEAST_BALL_M = 0.005  # what no larger ball fits into is a dent
@@ -45,7 +45,7 @@ def widest_gap(mesh: trimesh.Trimesh, *, seed: int = 0) -> np.ndarray | None:
     return best if radius > LEAST_BALL_M else None
 
 
-def held_by(point: np.ndarray, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def barycentric_hold(point: np.ndarray, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Vertices around a point, and weights that sum to one, with which it moves when they do.
 
     Returns:

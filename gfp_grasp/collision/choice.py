@@ -10,21 +10,21 @@ from weakref import WeakKeyDictionary
 import numpy as np
 import trimesh
 
-from gfp_grasp.collision.budget import CollisionConfig
-from gfp_grasp.collision.carry import bearer, carry_parts
-from gfp_grasp.collision.cavity import LEAST_BALL_M, ball_radii_m, held_by, widest_gap
-from gfp_grasp.collision.config import DecomposeConfig
-from gfp_grasp.collision.convex import PartFaces, convex_part, volume_m3
+from gfp_grasp.collision.cavity import LEAST_BALL_M, ball_radii_m, barycentric_hold, widest_gap
+from gfp_grasp.collision.config import CollisionConfig, DecomposeConfig
+from gfp_grasp.collision.convex import convex_part
 from gfp_grasp.collision.decomposition import decompose, hull
+from gfp_grasp.collision.deformed import deform_parts, matching_primitive
 from gfp_grasp.collision.fidelity import union_error_m, volume_ratios
+from gfp_grasp.collision.parts import PartFaces, volume_m3
 from gfp_grasp.errors import DecompositionFailed, InvalidMesh
 from gfp_grasp.types import CollisionMesh, CompletedShape, GenericPrimitive
 
-# Mean error of carried parts over the diagonal, beyond which CoACD is worth its time. A mug's parts carried through a
+# Mean error of deformed parts over the diagonal, beyond which CoACD is worth its time. A mug's parts deformed through a
 # bulge of a fifth of its radius stay below 0.01.
-_CARRIED_LIMIT = 0.01
+_ERROR_LIMIT = 0.01
 # And the share of the ball that fits into the mesh which must fit between the parts.
-_CAVITY_LEFT = 0.8
+_CLEARANCE_LEFT = 0.8
 # The hull of a convex mesh adds nothing but rounding to its volume.
 _CONVEX_EXCESS = 1e-3
 # Parts that bring the template's surface nearer by less than this, on average and for 95 %, are not worth their time.
@@ -37,8 +37,8 @@ _gaps: WeakKeyDictionary[GenericPrimitive, tuple[np.ndarray, np.ndarray] | None]
 def collision_of(shape: CompletedShape, *, config: CollisionConfig = CollisionConfig()) -> CollisionMesh:
     """Convex parts of a completed shape, within a budget.
 
-    The parts of the primitive it was fitted with are carried along where the mesh has the primitive's (or a variant's)
-    vertices; a convex mesh is its own hull; else CoACD runs. It runs too where carried parts miss their bound: the
+    The primitive's parts are deformed with it where the mesh has the vertices of the primitive or of a variant; a
+    convex mesh is its own hull; else CoACD runs. It runs too where deformed parts miss their bound: the
     config's tolerance or else 1 % of the diagonal on average, and four fifths of the ball that fits into a hollow
     thing. Of two that miss it the better one is given. What misses it comes with a warning that tells the figures.
 
@@ -47,19 +47,19 @@ def collision_of(shape: CompletedShape, *, config: CollisionConfig = CollisionCo
         config: Budget.
 
     Returns:
-        The parts with their two-sided error. `notes` of carried ones: level (of the primitive's tree of merges),
-        carrying_s, dropped (slivers), volume_ratio and union_volume_ratio (of the parts over the mesh's, overlaps
+        The parts with their two-sided error. `notes` of deformed ones: level (of the primitive's tree of merges),
+        deforming_s, dropped (slivers), volume_ratio and union_volume_ratio (of the parts over the mesh's, overlaps
         counted as often as they are, or once), ball_m and ball_left_m (radius of a ball that fits into the mesh, and
-        of that which fits between the parts at the same place), where there is room for one. CoACD's, where carried
+        of that which fits between the parts at the same place), where there is room for one. CoACD's, where deformed
         parts gave way to them, have the ball as well.
 
     Raises:
         InvalidMesh: The mesh is flat or too small for MuJoCo.
         DecompositionFailed: CoACD had to run, and was lost in every attempt.
     """
-    carried = _carried(shape, config)
-    if carried is not None:
-        return carried if _is_true(carried, shape, config) else _decomposed_or(carried, shape, config)
+    deformed = _deformed(shape, config)
+    if deformed is not None:
+        return deformed if _is_true(deformed, shape, config) else _decomposed_or(deformed, shape, config)
     if _is_convex(shape.mesh):
         found = hull(shape.mesh, max_vertices=config.max_vertices_per_part)
     else:
@@ -72,13 +72,13 @@ def _is_convex(mesh: trimesh.Trimesh) -> bool:
     return whole is not None and volume_m3(whole) <= (1 + _CONVEX_EXCESS) * mesh.volume
 
 
-def _carried(shape: CompletedShape, config: CollisionConfig) -> CollisionMesh | None:
+def _deformed(shape: CompletedShape, config: CollisionConfig) -> CollisionMesh | None:
     """None where there is no primitive with parts whose vertices these could be."""
     if shape.fit is None:
         return None
     vertices = np.asarray(shape.mesh.vertices)
     try:
-        primitive = bearer(shape.fit.primitive, len(vertices))
+        primitive = matching_primitive(shape.fit.primitive, len(vertices))
     except InvalidMesh:  # of another connectivity: CoACD will say more
         return None
     if not primitive.parts:
@@ -116,14 +116,14 @@ def _levels(primitive: GenericPrimitive, vertices: np.ndarray, config: Collision
 
 def _measured(primitive: GenericPrimitive, mesh: trimesh.Trimesh, level: int, config: CollisionConfig) -> CollisionMesh:
     started = time.monotonic()
-    parts = carry_parts(primitive, mesh.vertices, count=level, max_vertices=config.max_vertices_per_part)
-    carrying_s = time.monotonic() - started
+    parts = deform_parts(primitive, mesh.vertices, count=level, max_vertices=config.max_vertices_per_part)
+    deforming_s = time.monotonic() - started
     rng = np.random.default_rng(0)
     faces = PartFaces.of(parts)
     ratio, union_ratio = volume_ratios(faces, mesh, count=_SAMPLES, rng=rng)
     notes: dict[str, object] = {
         "level": level,
-        "carrying_s": carrying_s,
+        "deforming_s": deforming_s,
         "dropped": level - len(parts),
         "volume_ratio": ratio,
         "union_volume_ratio": union_ratio,
@@ -137,7 +137,7 @@ def _ball(primitive: GenericPrimitive, mesh: trimesh.Trimesh, faces: PartFaces) 
     """Notes of the ball in a completed primitive; none where it has no gap that is worth the name."""
     if primitive not in _gaps:
         centre = widest_gap(trimesh.Trimesh(primitive.vertices, primitive.faces, process=False))
-        _gaps[primitive] = None if centre is None else held_by(centre, primitive.vertices)
+        _gaps[primitive] = None if centre is None else barycentric_hold(centre, primitive.vertices)
     gap = _gaps[primitive]
     if gap is None:
         return {}
@@ -147,38 +147,38 @@ def _ball(primitive: GenericPrimitive, mesh: trimesh.Trimesh, faces: PartFaces) 
 
 
 def _is_true(found: CollisionMesh, shape: CompletedShape, config: CollisionConfig) -> bool:
-    if _room(found) < _CAVITY_LEFT:
+    if _clearance(found) < _CLEARANCE_LEFT:
         return False
     if config.tolerance_m is not None:
         return found.error_m[1] <= config.tolerance_m
     if found.made_by == "coacd" and shape.fit is None:  # nothing else was asked of it
         return True
-    return found.error_m[0] <= _CARRIED_LIMIT * float(np.linalg.norm(np.ptp(shape.mesh.vertices, axis=0)))
+    return found.error_m[0] <= _ERROR_LIMIT * float(np.linalg.norm(np.ptp(shape.mesh.vertices, axis=0)))
 
 
-def _room(found: CollisionMesh) -> float:
+def _clearance(found: CollisionMesh) -> float:
     """Share of the ball in the mesh that fits between the parts; 1 where there is none."""
     notes = found.notes
     return float(notes["ball_left_m"] / notes["ball_m"]) if "ball_m" in notes else 1.0  # type: ignore[operator]
 
 
-def _decomposed_or(carried: CollisionMesh, shape: CompletedShape, config: CollisionConfig) -> CollisionMesh:
-    """CoACD's parts where they are truer to the mesh than the carried ones."""
+def _decomposed_or(deformed: CollisionMesh, shape: CompletedShape, config: CollisionConfig) -> CollisionMesh:
+    """CoACD's parts where they are truer to the mesh than the deformed ones."""
     assert shape.fit is not None
     try:
         fresh = decompose(shape.mesh, config=_as_coacd(config))
     except (DecompositionFailed, InvalidMesh) as error:
-        return _with_warning(carried, f"they are kept, as CoACD failed: {error}")
-    primitive = bearer(shape.fit.primitive, len(shape.mesh.vertices))
+        return _with_warning(deformed, f"they are kept, as CoACD failed: {error}")
+    primitive = matching_primitive(shape.fit.primitive, len(shape.mesh.vertices))
     ball = _ball(primitive, shape.mesh, PartFaces.of(fresh.parts))
-    fresh = replace(fresh, notes={**fresh.notes, **ball, "carried_error_m": carried.error_m})
+    fresh = replace(fresh, notes={**fresh.notes, **ball, "deformed_error_m": deformed.error_m})
     if _is_true(fresh, shape, config):
         return fresh
-    hollow = [_room(found) >= _CAVITY_LEFT for found in (fresh, carried)]
+    hollow = [_clearance(found) >= _CLEARANCE_LEFT for found in (fresh, deformed)]
     if hollow[0] != hollow[1]:
-        better, other = (fresh, carried) if hollow[0] else (carried, fresh)
+        better, other = (fresh, deformed) if hollow[0] else (deformed, fresh)
     else:
-        better, other = sorted((fresh, carried), key=lambda found: found.error_m[0])
+        better, other = sorted((fresh, deformed), key=lambda found: found.error_m[0])
     return _with_warning(better, f"{_said(other)}; more parts, or a larger tolerance, are needed")
 
 
@@ -189,10 +189,11 @@ def _with_warning(found: CollisionMesh, more: str) -> CollisionMesh:
 
 
 def _said(found: CollisionMesh) -> str:
-    whose = {"carried": "carried parts", "hull": "the hull"}.get(found.made_by, f"CoACD's {len(found.parts)} parts")
+    whose = {"carried": "deformed parts", "hull": "the hull"}.get(found.made_by, f"CoACD's {len(found.parts)} parts")
     mean, high = (f"{1e3 * error:.1f} mm" for error in found.error_m[:2])
-    room = "" if _room(found) >= _CAVITY_LEFT else f", and leave {_room(found):.0%} of the ball that fits inside"
-    return f"{whose} miss the mesh by {mean} on average, {high} for 95 %{room}"
+    left = _clearance(found)
+    ball = "" if left >= _CLEARANCE_LEFT else f", and leave {left:.0%} of the ball that fits inside"
+    return f"{whose} miss the mesh by {mean} on average, {high} for 95 %{ball}"
 
 
 def _as_coacd(config: CollisionConfig) -> DecomposeConfig:

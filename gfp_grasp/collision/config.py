@@ -1,4 +1,4 @@
-"""What CoACD and V-HACD may be asked for, and the limits they run under."""
+"""Options: the budget of a completed shape's parts, what CoACD and V-HACD may be asked for, and their limits."""
 
 from __future__ import annotations
 
@@ -9,10 +9,33 @@ from typing import Literal
 
 from gfp_grasp.errors import InvalidOption
 
-_NOT_COACDS = ("engine", "vhacd_resolution", "time_limit_s", "memory_limit_mb", "attempts", "cache")
+_NOT_FOR_COACD = ("engine", "vhacd_resolution", "time_limit_s", "memory_limit_mb", "attempts", "cache")
 
 # V-HACD knows no "as many as it takes"; these are its own defaults.
 _VHACD_PARTS = _VHACD_VERTICES = 64
+
+
+@dataclass(frozen=True)
+class CollisionConfig:
+    """Budget of the convex parts of a completed shape. No result exceeds max_parts or max_vertices_per_part.
+
+    Attributes:
+        max_parts: Largest number of parts.
+        max_vertices_per_part: Largest number of vertices of a part; None for no limit.
+        tolerance_m: 95 % of the surfaces of parts and mesh lie within this distance of each other. The fewest parts
+            that achieve this are taken. None takes as many of max_parts as make a difference.
+    """
+
+    max_parts: int = 80
+    max_vertices_per_part: int | None = None
+    tolerance_m: float | None = None
+
+    def __post_init__(self) -> None:
+        _whole(self.max_parts, "max_parts", 1, None)
+        if self.max_vertices_per_part is not None:
+            _whole(self.max_vertices_per_part, "max_vertices_per_part", 4, None, "; or None for no limit")
+        if self.tolerance_m is not None:
+            _number(self.tolerance_m, "tolerance_m", 0.0, math.inf, "; or None to take what makes a difference")
 
 
 @dataclass(frozen=True)
@@ -105,7 +128,7 @@ class DecomposeConfig:
 
     def coacd_options(self) -> dict[str, float | int | bool | str]:
         """Keyword arguments of coacd.run_coacd."""
-        return {name: value for name, value in asdict(self).items() if name not in _NOT_COACDS}
+        return {name: value for name, value in asdict(self).items() if name not in _NOT_FOR_COACD}
 
     def vhacd_options(self) -> dict[str, float | int | bool | str]:
         """Keyword arguments of vhacdx.compute_vhacd."""
@@ -121,17 +144,19 @@ class DecomposeConfig:
         return self.vhacd_options() if self.engine == "vhacd" else self.coacd_options()
 
 
-def _number(value: object, name: str, low: float, high: float) -> None:
+def _number(value: object, name: str, low: float, high: float, also: str = "") -> None:
     number = float(value) if isinstance(value, numbers.Real) and not isinstance(value, bool) else math.nan
     if not math.isfinite(number) or not low <= number <= high or number == 0.0:
         start = "above 0" if low == 0.0 else f"at least {low:g}"
         end = "" if high == math.inf else f", at most {high:g}"
-        raise InvalidOption(f"{name} is {value!r}; a finite number {start}{end} is expected")
+        raise InvalidOption(f"{name} is {value!r}; a finite number {start}{end} is expected{also}")
 
 
-def _whole(value: object, name: str, low: int, high: int, also: str = "") -> None:
-    if not isinstance(value, numbers.Integral) or isinstance(value, bool) or not low <= int(value) <= high:
-        raise InvalidOption(f"{name} is {value!r}; a whole number from {low} to {high} is expected{also}")
+def _whole(value: object, name: str, low: int, high: int | None, also: str = "") -> None:
+    number = int(value) if isinstance(value, numbers.Integral) and not isinstance(value, bool) else None
+    if number is None or number < low or (high is not None and number > high):
+        end = "on" if high is None else f"to {high}"
+        raise InvalidOption(f"{name} is {value!r}; a whole number from {low} {end} is expected{also}")
 
 
 def _choice(value: object, name: str, legal: tuple[str, ...]) -> None:

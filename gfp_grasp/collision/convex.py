@@ -3,24 +3,23 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass
+from functools import cache
 from itertools import product
 
 import manifold3d
 import numpy as np
 from scipy.spatial import ConvexHull
 
-from gfp_grasp.collision.budget import fewer_corners
+from gfp_grasp.collision.parts import NEEDLE, area_vectors, lengths, six_volumes
 from gfp_grasp.types import ConvexPart
 
 # MuJoCo 3.17 refuses a mesh below 1e-15 m3 and a body whose inertia is below 1e-15 kg m2. A crumb of 0.5 mm passes both
 # at the density of water, and stops no finger where it is missing.
 MIN_VOLUME_M3 = 1e-10
 MIN_THICKNESS_M = 1e-4
-_NEEDLE = 1e-9  # of the largest face of its part: a face so small has no direction but rounding
 _WAYS = np.array([way for way in product((-1.0, 0.0, 1.0), repeat=3) if any(way)])
 _FOLDED = 1e-9  # of the volume: a face that looks away from the centre by less does so by rounding
-_NEXT, _AFTER = [1, 2, 0], [2, 0, 1]
+_MANY = 4  # directions looked into for each corner that is kept
 
 
 def convex_part(points: np.ndarray, *, max_vertices: int | None = None) -> ConvexPart | None:
@@ -87,7 +86,7 @@ def _planes(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Unit normals (k, 3) and offsets (k,) m of those triangles that are no needles."""
     vectors = area_vectors(triangles)
     areas = lengths(vectors)
-    broad = areas > _NEEDLE * areas.max()
+    broad = areas > NEEDLE * areas.max()
     normals = vectors[broad] / areas[broad, None]
     return normals, np.einsum("ni,ni->n", normals, triangles[broad, 0])
 
@@ -126,111 +125,44 @@ def _hull(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return np.array(mesh.vert_properties[:, :3]), np.array(mesh.tri_verts, dtype=np.int64)
 
 
-def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Cross products (n, 3); numpy's own takes thrice as long on so few."""
-    return a[:, _NEXT] * b[:, _AFTER] - a[:, _AFTER] * b[:, _NEXT]
-
-
-def lengths(vectors: np.ndarray) -> np.ndarray:
-    """Lengths (n,) of (n, 3); numpy's own take thrice as long."""
-    return np.sqrt(np.einsum("ni,ni->n", vectors, vectors))
-
-
-@dataclass(frozen=True, eq=False)
-class PartFaces:
-    """All faces of p convex parts, to be asked many times.
-
-    Attributes:
-        triangles: (f, 3, 3) m.
-        owner: (f,) part of each.
-        normals: (f, 3) outward, of length 1, or shorter for needles, whose direction is rounding only.
-        areas_m2: (f,).
-        planes: (f, 4) what a place (x, y, z, 1), m, is multiplied with for its height over each.
-        bounds: (p + 1,) where the faces of each part begin.
-        low: (p, 3) m, lower corner of the box of each part.
-        high: (p, 3) m, its upper corner.
-    """
-
-    triangles: np.ndarray
-    owner: np.ndarray
-    normals: np.ndarray
-    areas_m2: np.ndarray
-    planes: np.ndarray
-    bounds: np.ndarray
-    low: np.ndarray
-    high: np.ndarray
-
-    @staticmethod
-    def of(parts: Sequence[ConvexPart]) -> PartFaces:
-        """Those of at least one part."""
-        sizes = [len(part.faces) for part in parts]
-        bounds = np.concatenate([[0], np.cumsum(sizes)])
-        starts = np.cumsum([0, *(len(part.vertices) for part in parts[:-1])])
-        vertices = np.concatenate([part.vertices for part in parts])
-        faces = np.concatenate([part.faces for part in parts]) + np.repeat(starts, sizes)[:, None]
-        low, high = (end.reduceat(vertices, starts, axis=0) for end in (np.minimum, np.maximum))
-        triangles = vertices[faces]
-        owner = np.repeat(np.arange(len(parts)), sizes)
-        vectors = area_vectors(triangles)
-        areas = lengths(vectors)
-        needle = areas <= _NEEDLE * np.maximum.reduceat(areas, bounds[:-1])[owner]
-        normals = vectors / np.where(needle, np.inf, areas)[:, None]
-        offsets = np.einsum("ni,ni->n", normals, triangles[:, 0])
-        offsets[needle] = np.inf  # nothing is above it
-        planes = np.column_stack([normals, -offsets])
-        return PartFaces(triangles, owner, normals, areas, planes, bounds, low, high)
-
-    def within(self, points: np.ndarray, *, margin_m: float = 0.0) -> np.ndarray:
-        """Which points (n, 3) m lie within which parts, (p, n) bool; `within_parts` tells of the margin."""
-        places = _homogeneous(points)
-        near = np.ones((len(self.low), len(points)), dtype=bool)
-        for axis in range(3):  # a reduction over an axis of three is slow
-            near &= places[axis] >= self.low[:, axis, None] - margin_m
-            near &= places[axis] <= self.high[:, axis, None] + margin_m
-        for part in np.flatnonzero(near.any(axis=1)):
-            asked = np.flatnonzero(near[part])
-            near[part, asked] = self._height(places[:, asked], int(part)) <= margin_m
-        return near
-
-    def height(self, points: np.ndarray, part: int) -> np.ndarray:
-        """Height (n,) m of points (n, 3) over the plane of a part that they are farthest out of; negative within."""
-        return self._height(_homogeneous(points), part)
-
-    def _height(self, places: np.ndarray, part: int) -> np.ndarray:
-        # In four dimensions with the offset: a product over three takes eight times as long.
-        return (self.planes[self.bounds[part] : self.bounds[part + 1]] @ places).max(axis=0)
-
-
-def _homogeneous(points: np.ndarray) -> np.ndarray:
-    return np.vstack([points.T, np.ones(len(points))])
-
-
-def within_parts(points: np.ndarray, parts: Sequence[ConvexPart], *, margin_m: float = 0.0) -> np.ndarray:
-    """Which points lie within which parts.
+def fewer_corners(corners: np.ndarray, count: int) -> np.ndarray:
+    """Corners of a hull that keep as much of it as so few can, about.
 
     Args:
-        points: (n, 3) m.
-        parts: p convex parts.
-        margin_m: How far beyond every plane of a part still counts; negative for how deep a point must lie.
+        corners: (n, 3) m, all of the hull, not in one plane.
+        count: At least 4, less than n.
 
     Returns:
-        (n, p) bool.
+        (count, 3) of them, in their order.
     """
-    if not parts:
-        return np.zeros((len(points), 0), dtype=bool)
-    return PartFaces.of(parts).within(points, margin_m=margin_m).T
+    centred = corners - corners.mean(axis=0)
+    # The farthest in even directions, of which some are the same; then those that are so in most of many directions,
+    # which means that the hull bends much there.
+    chosen = list(dict.fromkeys((_directions(count) @ centred.T).argmax(axis=1).tolist()))
+    many = np.bincount((_directions(_MANY * count) @ centred.T).argmax(axis=1), minlength=len(corners))
+    many[chosen] = -1
+    chosen += np.argsort(-many, kind="stable")[: count - len(chosen)].tolist()
+    own = centred[chosen] - centred[chosen].mean(axis=0)
+    if np.linalg.matrix_rank(own) < 3:
+        chosen[-1] = _farthest_from_flat(centred, chosen[:-1])
+    return corners[sorted(chosen)]
 
 
-def volume_m3(part: ConvexPart) -> float:
-    """Volume of a convex part."""
-    return float(six_volumes((part.vertices - part.vertices[0])[part.faces]).sum()) / 6
+def _farthest_from_flat(points: np.ndarray, chosen: list[int]) -> int:
+    """The point that is farthest from the line or plane of those chosen."""
+    own = points[chosen] - points[chosen].mean(axis=0)
+    _, spread, axes = np.linalg.svd(own, full_matrices=True)
+    flat = axes[np.append(spread, np.zeros(3 - len(spread))) <= 1e-9 * max(float(spread.max(initial=0)), 1e-12)]
+    flat = flat if len(flat) else axes[-1:]
+    distance = np.linalg.norm((points - points[chosen].mean(axis=0)) @ flat.T, axis=1)
+    distance[chosen] = -np.inf
+    return int(distance.argmax())
 
 
-def six_volumes(corners: np.ndarray) -> np.ndarray:
-    """Determinants (n,) of (n, 3, 3): six times the volume of the tetrahedron over the origin."""
-    return np.einsum("ni,ni->n", corners[:, 0], cross(corners[:, 1], corners[:, 2]))
-
-
-def area_vectors(triangles: np.ndarray) -> np.ndarray:
-    """Normals (n, 3) of triangles (n, 3, 3), as long as the area, m2."""
-    return cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]) / 2
+@cache
+def _directions(count: int) -> np.ndarray:
+    """(count, 3) unit vectors, spread evenly: a Fibonacci spiral."""
+    height = 1 - (2 * np.arange(count) + 1) / count
+    turn = np.pi * (3 - np.sqrt(5)) * np.arange(count)
+    flat = np.sqrt(1 - height**2)
+    return np.column_stack([flat * np.cos(turn), flat * np.sin(turn), height])

@@ -10,7 +10,7 @@ import numpy as np
 import trimesh
 from scipy.spatial import KDTree
 
-from gfp_grasp.collision.convex import PartFaces, area_vectors, lengths, six_volumes
+from gfp_grasp.collision.parts import PartFaces, area_vectors, lengths, six_volumes
 from gfp_grasp.types import ConvexPart
 
 # Faces on which two parts meet are no surface of the union. They are told by a step outward that lands in the

@@ -1,22 +1,22 @@
-"""Convex parts of a template at every level from fine to coarse, made once, offline."""
+"""Levels of one decomposition: a tree of merges from many convex parts to few, and how true each level is."""
 
 from __future__ import annotations
 
+import heapq
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import trimesh
+from scipy.spatial import ConvexHull, QhullError
 
-from gfp_grasp.collision.config import DecomposeConfig
 from gfp_grasp.collision.convex import convex_part, convex_parts
-from gfp_grasp.collision.decomposition import decompose
 from gfp_grasp.collision.fidelity import union_error_m
-from gfp_grasp.collision.merging import groups_of, merge_tree
 from gfp_grasp.types import ConvexPart
 
-# Of a mug's mean: 121 parts at 0.02, which miss it by 0.2 mm on average. A bottle has few at that.
-_THRESHOLDS = (0.02, 0.01)
-_FEWEST, _MOST = 32, 128
+# Parts whose boxes are farther apart than this share of the whole meet only when nothing else is left to merge.
+_APART = 0.02
+_MOST = 128
 # CoACD cuts through every triangle that a plane meets: of several hundred corners 96 say nearly as much.
 _MOST_VERTICES = 96
 
@@ -36,26 +36,6 @@ class PartLevels:
     errors_m: np.ndarray
 
 
-def part_levels(mesh: trimesh.Trimesh) -> PartLevels:
-    """Decompose a template finely with CoACD, and merge its parts in the order that harms least.
-
-    Takes minutes.
-
-    Args:
-        mesh: Watertight, m.
-
-    Raises:
-        InvalidMesh: See decompose.
-        DecompositionFailed: See decompose.
-    """
-    parts: tuple[ConvexPart, ...] = ()
-    for threshold in _THRESHOLDS:
-        parts = decompose(mesh, config=DecomposeConfig(threshold=threshold, time_limit_s=1800.0)).parts
-        if len(parts) >= _FEWEST:
-            break
-    return levels_of(parts, mesh)
-
-
 def levels_of(parts: tuple[ConvexPart, ...], mesh: trimesh.Trimesh) -> PartLevels:
     """Levels of parts that a mesh was decomposed into."""
     parts, _ = convex_parts((part.vertices for part in parts), max_vertices=_MOST_VERTICES)
@@ -68,9 +48,86 @@ def levels_of(parts: tuple[ConvexPart, ...], mesh: trimesh.Trimesh) -> PartLevel
     return PartLevels(parts, merges, np.array(errors))
 
 
+def merge_tree(parts: Sequence[ConvexPart]) -> np.ndarray:
+    """Which parts become one first, for any number of parts that are to be left.
+
+    Always those two are merged whose joint hull adds the least volume to their own.
+
+    Args:
+        parts: p convex parts, m.
+
+    Returns:
+        (p - 1, 2) numbers of the parts that are merged, in that order; what the i-th merge makes is number p + i.
+    """
+    clouds = {i: np.asarray(part.vertices) for i, part in enumerate(parts)}
+    volumes = {i: _volume_m3(cloud) for i, cloud in clouds.items()}
+    if not clouds:
+        return np.zeros((0, 2), dtype=np.int64)
+    everything = np.concatenate(list(clouds.values()))
+    apart_m = _APART * float(np.linalg.norm(np.ptp(everything, axis=0)))
+    boxes = {i: (cloud.min(axis=0), cloud.max(axis=0)) for i, cloud in clouds.items()}
+    queue: list[tuple[bool, float, int, int]] = []
+
+    def offer(i: int, j: int) -> None:
+        gap = np.maximum(boxes[i][0] - boxes[j][1], boxes[j][0] - boxes[i][1]).max()
+        added = _volume_m3(np.concatenate([clouds[i], clouds[j]])) - volumes[i] - volumes[j]
+        heapq.heappush(queue, (bool(gap > apart_m), added, i, j))
+
+    numbers = sorted(clouds)
+    for i in numbers:
+        for j in range(i):
+            offer(j, i)
+    merges = []
+    while len(clouds) > 1:
+        _, _, i, j = heapq.heappop(queue)
+        if i not in clouds or j not in clouds:
+            continue
+        made = len(parts) + len(merges)
+        merges.append((i, j))
+        joint = np.concatenate([clouds.pop(i), clouds.pop(j)])
+        clouds[made] = joint[_corners(joint)]
+        volumes[made] = _volume_m3(joint)
+        boxes[made] = (joint.min(axis=0), joint.max(axis=0))
+        for other in sorted(clouds):
+            if other != made:
+                offer(other, made)
+    return np.array(merges, dtype=np.int64).reshape(-1, 2)
+
+
+def groups_of(merges: np.ndarray, num_parts: int, count: int) -> list[list[int]]:
+    """Parts that belong together where count of them are left.
+
+    Args:
+        merges: As `merge_tree` returns them.
+        num_parts: p, of the finest level.
+        count: How many are wanted; between 1 and p are given.
+
+    Returns:
+        Numbers of the finest parts in each group, groups in the order of their first parts.
+    """
+    groups = {i: [i] for i in range(num_parts)}
+    for number, (i, j) in enumerate(merges[: max(0, num_parts - max(count, 1))].tolist()):
+        groups[num_parts + number] = sorted(groups.pop(i) + groups.pop(j))
+    return sorted(groups.values())
+
+
 def _merged(parts: tuple[ConvexPart, ...], merges: np.ndarray, count: int) -> tuple[ConvexPart, ...]:
     hulls = [
         convex_part(np.concatenate([parts[i].vertices for i in group]))
         for group in groups_of(merges, len(parts), count)
     ]
     return tuple(hull for hull in hulls if hull is not None)
+
+
+def _corners(points: np.ndarray) -> np.ndarray:
+    try:
+        return np.sort(ConvexHull(points).vertices)
+    except QhullError:  # flat
+        return np.arange(len(points))
+
+
+def _volume_m3(points: np.ndarray) -> float:
+    try:
+        return float(ConvexHull(points).volume)
+    except QhullError:
+        return 0.0

@@ -12,7 +12,7 @@ import trimesh
 
 from gfp_grasp.collision.config import DecomposeConfig
 from gfp_grasp.collision.decomposition import check_engine, decompose
-from gfp_grasp.collision.guard import CancelSign
+from gfp_grasp.collision.engines.guard import CancelSign
 from gfp_grasp.errors import GfpGraspError, InvalidOption
 from gfp_grasp.types import CollisionMesh
 

@@ -28,11 +28,13 @@ import trimesh
 
 from gfp_grasp import __version__
 from gfp_grasp.collision.config import DecomposeConfig
-from gfp_grasp.types import CollisionMesh, ConvexPart
+from gfp_grasp.collision.parts import parts_from_arrays, parts_to_arrays
+from gfp_grasp.errors import InvalidMesh
+from gfp_grasp.types import CollisionMesh
 
 CACHE_VARIABLE = "GFP_GRASP_CACHE"  # a folder, or "off"
 LARGEST_BYTES = 256 * 2**20  # some 20 000 decompositions of 40 parts
-_FORMAT = "2"  # raise it when the files change, or when the same call gives other parts
+_FORMAT = "3"  # raise it when the files change, or when the same call gives other parts
 _WHEELS = {"coacd": "coacd", "vhacd": "vhacdx"}
 # Nothing else in the folder is ours to remove.
 _OURS = re.compile(r"[0-9a-f]{64}\.npz|[0-9a-f]{64}-\w+\.tmp")
@@ -42,6 +44,7 @@ _BROKEN = (
     AttributeError,
     BadZipFile,
     EOFError,
+    InvalidMesh,
     LookupError,
     MemoryError,
     OSError,
@@ -144,13 +147,7 @@ def _packed(key: str, collision: CollisionMesh) -> dict[str, np.ndarray]:
         "seconds": float(collision.seconds),
         "notes": {name: _plain(value) for name, value in collision.notes.items()},
     }
-    return {
-        "vertices": np.concatenate([part.vertices for part in collision.parts]),
-        "faces": np.concatenate([part.faces for part in collision.parts]).astype(np.int32),
-        "num_vertices": np.array([len(part.vertices) for part in collision.parts]),
-        "num_faces": np.array([len(part.faces) for part in collision.parts]),
-        "meta": np.array(json.dumps(meta, default=str)),
-    }
+    return {**parts_to_arrays(collision.parts), "meta": np.array(json.dumps(meta, default=str))}
 
 
 def _plain(value: object) -> object:
@@ -162,19 +159,11 @@ def _plain(value: object) -> object:
 def _unpacked(key: str, file: Mapping[str, np.ndarray]) -> CollisionMesh | None:
     """None where a file of the right form is not the one that was asked for, or its parts cannot be."""
     meta = json.loads(str(file["meta"]))
-    vertices, faces = file["vertices"], file["faces"]
-    num_vertices, num_faces = file["num_vertices"], file["num_faces"]
-    if meta["key"] != key or vertices.dtype.kind != "f" or faces.dtype.kind != "i" or len(num_vertices) == 0:
+    if meta["key"] != key:
         return None
-    if len(num_vertices) != len(num_faces) or num_vertices.min() < 4 or num_faces.min() < 4:
+    parts = parts_from_arrays(file)
+    if not parts:
         return None
-    if vertices.shape != (num_vertices.sum(), 3) or faces.shape != (num_faces.sum(), 3):
-        return None
-    beyond = faces.max(axis=1) >= num_vertices.repeat(num_faces)
-    if not np.isfinite(vertices).all() or faces.min() < 0 or beyond.any():
-        return None
-    clouds = np.split(vertices, np.cumsum(num_vertices)[:-1])
-    parts = tuple(map(ConvexPart, clouds, np.split(faces, np.cumsum(num_faces)[:-1])))
     mean, high, largest = map(float, meta["error_m"])
     notes = {name: tuple(value) if isinstance(value, list) else value for name, value in meta["notes"].items()}
     return CollisionMesh(parts, (mean, high, largest), meta["made_by"], float(meta["seconds"]), notes)

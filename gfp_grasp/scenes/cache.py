@@ -6,7 +6,7 @@ from collections.abc import Callable
 import numpy as np
 import trimesh
 
-from gfp_grasp.collision.store import key_of, read_parts, write_parts
+from gfp_grasp.collision import key_of, read_parts, write_parts
 from gfp_grasp.types import CollisionMesh
 
 _KEPT = 256  # at 0.2 MB

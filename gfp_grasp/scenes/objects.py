@@ -39,7 +39,7 @@ def true_object(
         name: Of the data set and the mesh, never a path.
         category: Class, or "" where it is unknown.
         rng: Draws mass (from the volume at a density that suits a vessel or a filled bottle) and friction.
-        decompose: Gives the convex parts; None cuts by planes (cutting.cut_parts) into up to 96 parts, where that
+        decompose: Gives the convex parts; None cuts by planes (collision.cut_parts) into up to 96 parts, where that
             leaves more than 0.5 mm mean error into up to 256, and where that leaves more than 1 mm runs
             collision.decompose; results are kept on disk by mesh.
 
@@ -97,8 +97,7 @@ def _decompose_cached(mesh: trimesh.Trimesh) -> CollisionMesh:
 
 def _decompose(mesh: trimesh.Trimesh) -> CollisionMesh:
     """Plane cuts where they are as true to the mesh as CoACD mostly is, for they take a twentieth of its time."""
-    from gfp_grasp.collision import decompose
-    from gfp_grasp.scenes.cutting import cut_parts
+    from gfp_grasp.collision import cut_parts, decompose
 
     cuts = []
     for max_parts, limit_m in ((_FEW_PARTS, _FEW_ERROR_M), (_MANY_PARTS, _MANY_ERROR_M)):

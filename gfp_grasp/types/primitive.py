@@ -101,7 +101,7 @@ class GenericPrimitive:
         regions: (v,) uint8, index into `region_names`.
         region_names: "outside", "inside", then the parts that stand out of the body, as "handle".
         parts: Convex parts of the mean mesh, in the same frame, p at the finest level.
-        part_merges: (p - 1, 2) which of them become one first, see `collision.merging`; empty where that is not stored.
+        part_merges: (p - 1, 2) which of them become one first, see `collision.levels`; empty where that is not stored.
         part_errors_m: (p, 2) m, mean and 95 % distance between the mean mesh and its parts where 1 .. p are left; or
             empty.
         variants: The same body without some of its optional parts, for each set of parts that it may lack.

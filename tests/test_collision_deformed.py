@@ -7,10 +7,11 @@ import pytest
 import trimesh
 from bodies import AWAY, TURN
 
-from gfp_grasp.collision import DecomposeConfig, carry_parts, collision_of, decompose
-from gfp_grasp.collision.carry import _barycentric, _on_surface, _thinned
-from gfp_grasp.collision.convex import PartFaces, convex_part, volume_m3, within_parts
+from gfp_grasp.collision import DecomposeConfig, collision_of, decompose, deform_parts
+from gfp_grasp.collision.convex import convex_part
+from gfp_grasp.collision.deformed import _barycentric, _on_surface, _thinned
 from gfp_grasp.collision.fidelity import union_error_m
+from gfp_grasp.collision.parts import PartFaces, volume_m3, within_parts
 from gfp_grasp.errors import DecompositionFailed, InvalidMesh
 from gfp_grasp.primitives import load_primitive
 from gfp_grasp.types import CompletedShape, ConvexPart, FittedPrimitive, GenericPrimitive, Symmetry, Variant
@@ -79,7 +80,7 @@ def tapered(vertices: np.ndarray) -> np.ndarray:
 
 
 def test_an_undeformed_primitive_has_its_own_parts():
-    found = carry_parts(TEMPLATE, CUP.vertices)
+    found = deform_parts(TEMPLATE, CUP.vertices)
     assert [volume_m3(part) for part in found] == pytest.approx([volume_m3(box) for box in BOXES])
     for part, box in zip(found, BOXES, strict=True):
         np.testing.assert_allclose(np.ptp(part.vertices, axis=0), np.ptp(box.vertices, axis=0), atol=1e-8)
@@ -87,8 +88,8 @@ def test_an_undeformed_primitive_has_its_own_parts():
 
 def test_parts_go_where_a_similarity_goes():
     turn = trimesh.transformations.random_rotation_matrix(np.array([0.2, 0.5, 0.9]))[:3, :3]
-    there = carry_parts(TEMPLATE, tapered(CUP.vertices))
-    moved = carry_parts(TEMPLATE, 1.3 * tapered(CUP.vertices) @ turn.T + [1, 2, 3])
+    there = deform_parts(TEMPLATE, tapered(CUP.vertices))
+    moved = deform_parts(TEMPLATE, 1.3 * tapered(CUP.vertices) @ turn.T + [1, 2, 3])
     assert [volume_m3(part) for part in moved] == pytest.approx([1.3**3 * volume_m3(part) for part in there])
     for one, other in zip(there, moved, strict=True):
         assert within_parts(1.3 * one.vertices @ turn.T + [1, 2, 3], [other], margin_m=1e-8).all()
@@ -96,7 +97,7 @@ def test_parts_go_where_a_similarity_goes():
 
 def test_parts_of_a_deformed_cup_follow_its_walls_and_leave_it_hollow():
     deformed = trimesh.Trimesh(tapered(CUP.vertices), CUP.faces, process=False)
-    found = carry_parts(TEMPLATE, deformed.vertices)
+    found = deform_parts(TEMPLATE, deformed.vertices)
     mean, _, largest = union_error_m(found, deformed, rng=np.random.default_rng(0))
     assert mean < 2e-4
     assert largest < 3e-3
@@ -110,7 +111,7 @@ def test_a_part_bulges_with_the_surface_between_its_corners():
     vertices = np.array(CUP.vertices)
     side = np.isclose(vertices[:, 0], OUTER)
     vertices[side, 0] += 0.01 * np.sin(np.pi * vertices[side, 2] / HEIGHT)
-    found = carry_parts(TEMPLATE, vertices)
+    found = deform_parts(TEMPLATE, vertices)
     assert found[2].vertices[:, 0].max() == pytest.approx(OUTER + 0.01, abs=1e-3)
 
 
@@ -119,7 +120,7 @@ def test_points_off_the_surface_keep_their_height_in_proportion():
     for _ in range(2):
         solid = solid.subdivide()
     inner = trimesh.creation.box((0.09, 0.09, 0.09))
-    found = carry_parts(primitive(solid, (ConvexPart(inner.vertices, inner.faces),)), 2 * solid.vertices)
+    found = deform_parts(primitive(solid, (ConvexPart(inner.vertices, inner.faces),)), 2 * solid.vertices)
     np.testing.assert_allclose(np.ptp(found[0].vertices, axis=0), 0.18, rtol=1e-6)
 
 
@@ -141,12 +142,12 @@ def test_the_corners_of_a_fine_ring_are_thinned_but_no_point_is_far_from_one_tha
 
 def test_the_order_of_merges_is_the_primitives_own_where_it_has_one():
     own = replace(TEMPLATE, part_merges=np.array([[3, 4], [5, 0], [6, 1], [7, 2]]))
-    volumes = [volume_m3(part) for part in carry_parts(own, CUP.vertices, count=4)]
+    volumes = [volume_m3(part) for part in deform_parts(own, CUP.vertices, count=4)]
     assert volumes[:3] == pytest.approx([volume_m3(box) for box in BOXES[:3]])
     across = volume_m3(ConvexPart(*hull_of(np.concatenate([BOXES[3].vertices, BOXES[4].vertices]))))
     assert volumes[3] == pytest.approx(across)
     wrong = replace(TEMPLATE, part_merges=np.array([[3, 4]]))
-    assert max(volume_m3(part) for part in carry_parts(wrong, CUP.vertices, count=4)) < 0.9 * across
+    assert max(volume_m3(part) for part in deform_parts(wrong, CUP.vertices, count=4)) < 0.9 * across
 
 
 def hull_of(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -160,7 +161,7 @@ def test_weights_on_a_triangle_give_the_point_back_and_on_a_needle_the_nearest_c
     share = np.array([0.2, 0.5, 0.3])
     point = share @ triangle
     found = _barycentric(np.stack([triangle, needle]), np.stack([point, np.add(AWAY, [0.028, 0, 0])]))
-    np.testing.assert_allclose(found, [share, [0, 0, 1]], atol=1e-9)
+    np.testing.assert_allclose(found, np.stack([share, [0, 0, 1]]), atol=1e-9)
     outside = _barycentric(triangle[None], (triangle[0] - 0.001 * (triangle[1] - triangle[0]))[None])
     assert (outside >= 0).all()
     assert outside.sum() == pytest.approx(1)
@@ -182,22 +183,22 @@ def test_the_variant_stands_in_where_the_vertices_are_its_own():
     handle = trimesh.creation.box(bounds=[[0.035, -0.005, 0.03], [0.07, 0.005, 0.07]])
     with_handle = trimesh.util.concatenate([CUP, handle])
     whole = primitive(with_handle, (*BOXES, ConvexPart(handle.vertices, handle.faces)), variant=TEMPLATE)  # pyright: ignore
-    assert len(carry_parts(whole, with_handle.vertices)) == 6  # pyright: ignore
-    assert len(carry_parts(whole, CUP.vertices)) == 5
+    assert len(deform_parts(whole, with_handle.vertices)) == 6  # pyright: ignore
+    assert len(deform_parts(whole, CUP.vertices)) == 5
     assert collision_of(completed(CUP, whole)).made_by == "carried"
 
 
 @pytest.mark.parametrize("vertices", [np.zeros((5, 3)), np.full_like(CUP.vertices, np.nan), CUP.vertices[:, :2]])
 def test_vertices_that_are_not_the_primitives_are_refused(vertices):
     with pytest.raises(InvalidMesh):
-        carry_parts(TEMPLATE, vertices)
+        deform_parts(TEMPLATE, vertices)
 
 
 def test_a_primitive_without_parts_and_a_flattening_are_refused():
     with pytest.raises(InvalidMesh, match="gps parts"):
-        carry_parts(primitive(CUP, ()), CUP.vertices)
+        deform_parts(primitive(CUP, ()), CUP.vertices)
     with pytest.raises(InvalidMesh, match="flat"):
-        carry_parts(TEMPLATE, CUP.vertices * [1, 1, 0])
+        deform_parts(TEMPLATE, CUP.vertices * [1, 1, 0])
 
 
 def test_a_fitted_shape_gets_carried_parts_with_their_error():
@@ -226,7 +227,7 @@ def test_any_other_shape_goes_through_coacd():
 
 def test_carried_parts_that_miss_the_shape_give_way_to_better_ones(monkeypatch):
     filled = primitive(CUP, (ConvexPart(CUP.convex_hull.vertices, CUP.convex_hull.faces),))
-    monkeypatch.setattr("gfp_grasp.collision.choice._CARRIED_LIMIT", 1e-3)
+    monkeypatch.setattr("gfp_grasp.collision.choice._ERROR_LIMIT", 1e-3)
     called = []
 
     def five_boxes(mesh, config):
@@ -244,7 +245,7 @@ def test_carried_parts_are_kept_with_a_warning_where_coacd_fails(monkeypatch):
         raise DecompositionFailed("no luck")
 
     filled = primitive(CUP, (ConvexPart(CUP.convex_hull.vertices, CUP.convex_hull.faces),))
-    monkeypatch.setattr("gfp_grasp.collision.choice._CARRIED_LIMIT", 1e-3)
+    monkeypatch.setattr("gfp_grasp.collision.choice._ERROR_LIMIT", 1e-3)
     monkeypatch.setattr("gfp_grasp.collision.choice.decompose", lost)
     with pytest.warns(RuntimeWarning, match=r"mm on average.*no luck"):
         found = collision_of(completed(CUP, filled))
@@ -266,7 +267,7 @@ def test_parts_of_shipped_primitives_follow_the_members_they_were_built_from(cat
     for sample in template.coefficient_samples[:8]:
         vertices = template.shape(sample[:num_modes], np.exp(sample[num_modes:]))
         mesh = trimesh.Trimesh(vertices, template.faces, process=False)
-        errors.append(union_error_m(carry_parts(template, vertices), mesh, rng=np.random.default_rng(0))[0])
+        errors.append(union_error_m(deform_parts(template, vertices), mesh, rng=np.random.default_rng(0))[0])
     assert np.median(errors) < 1.5e-3
 
 
@@ -275,7 +276,7 @@ def test_a_ball_of_10_mm_fits_between_the_parts_of_shipped_primitives(category):
     template = shipped(category)
     inside = template.vertices[template.regions == 1]
     ball = trimesh.creation.icosphere(subdivisions=3, radius=0.01)
-    found = carry_parts(template, template.vertices)
+    found = deform_parts(template, template.vertices)
     for height in (inside[:, 2].min() + 0.015, inside[:, 2].mean()):
         assert not within_parts(np.add(ball.vertices, [0, 0, height]), found).any()
 

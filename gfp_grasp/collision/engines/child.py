@@ -1,9 +1,9 @@
-"""The parent's side of the child that runs an engine: limits, no zombies, a warm child kept for the next job."""
+"""One child process that runs an engine: started, asked, watched and killed, so that none is left behind."""
 
 from __future__ import annotations
 
-import atexit
 import os
+import signal
 import subprocess
 import sys
 import tempfile
@@ -15,16 +15,12 @@ from typing import IO, Protocol
 
 import numpy as np
 
-from gfp_grasp.collision import pipe
+from gfp_grasp.collision.engines import pipe
 from gfp_grasp.errors import Cancelled
 
-# Starting costs 0.3 s; two idle children are what a threaded caller can use without hoarding memory.
-_MAX_IDLE = 2
 _START_LIMIT_S = 60.0
 # How long a child may work on after its caller has called it off.
 _POLL_S = 0.05
-_idle: list[_Child] = []
-_lock = threading.Lock()
 
 
 class CancelSign(Protocol):
@@ -43,65 +39,8 @@ class ChildLostError(Exception):
         self.out_of_time = out_of_time
 
 
-def run_guarded(
-    vertices: np.ndarray,
-    faces: np.ndarray,
-    options: dict,
-    *,
-    time_limit_s: float,
-    memory_limit_mb: int | None,
-    engine: str = "coacd",
-    cancel: CancelSign | None = None,
-) -> tuple[list[tuple[np.ndarray, np.ndarray]], dict[str, object]]:
-    """Run an engine once in a child process.
-
-    Args:
-        vertices: (v, 3) float64.
-        faces: (f, 3) integer.
-        options: Keyword arguments of coacd.run_coacd or vhacdx.compute_vhacd.
-        time_limit_s: The child is killed after this many seconds.
-        memory_limit_mb: Address space of the child in MiB, or None.
-        engine: "coacd" or "vhacd".
-        cancel: Once set, the child is killed.
-
-    Returns:
-        Vertices and faces of each hull, and what the child said: whether the memory limit holds, options unknown to it.
-
-    Raises:
-        ChildLostError: No answer came; the message says why. The child is gone, and reaped.
-        Cancelled: `cancel` was set. The child is gone, and reaped.
-    """
-    if cancel is not None and cancel.is_set():
-        raise Cancelled("called off before the child was asked")
-    child = _take(engine, memory_limit_mb)
-    try:
-        message = {**options}, [vertices.astype(np.float64), faces.astype(np.int32)]
-        header, arrays = child.ask(message, time_limit_s, cancel)
-    except BaseException:  # KeyboardInterrupt too: a child that is busy must not outlive its caller's interest
-        child.kill()
-        raise
-    _give_back(child)
-    hulls = [(points, triangles) for points, triangles in zip(arrays[::2], arrays[1::2], strict=True)]
-    return hulls, {"memory_limit": child.memory_limit_holds, "unknown_options": header["unknown"]}
-
-
-def close_workers() -> None:
-    """End the idle children; the next job starts a new one. Runs by itself when the interpreter ends."""
-    with _lock:
-        children = _idle.copy()
-        _idle.clear()
-    for child in children:
-        child.kill()
-
-
-def idle_pids() -> set[int]:
-    """Process ids of the living children that wait for the next job."""
-    with _lock:
-        return {child.process.pid for child in _idle if child.process.poll() is None}
-
-
 @dataclass(eq=False)
-class _Child:
+class Child:
     process: subprocess.Popen
     engine: str
     memory_limit_mb: int | None
@@ -109,13 +48,13 @@ class _Child:
     memory_limit_holds: bool = field(default=False)
 
     @staticmethod
-    def start(engine: str, memory_limit_mb: int | None) -> _Child:
+    def start(engine: str, memory_limit_mb: int | None) -> Child:
         limit = [] if memory_limit_mb is None else [str(memory_limit_mb)]
         log = tempfile.TemporaryFile()  # noqa: SIM115 - lives as long as the child
         try:
             process = subprocess.Popen(
                 # -P: a file in the caller's folder that is called like one of our imports must not be run.
-                [sys.executable, "-P", "-m", "gfp_grasp.collision.worker", engine, *limit],
+                [sys.executable, "-P", "-m", "gfp_grasp.collision.engines.worker", engine, *limit],
                 stdin=subprocess.PIPE,
                 stdout=subprocess.PIPE,
                 stderr=log,
@@ -126,7 +65,7 @@ class _Child:
         except (OSError, ValueError) as error:
             log.close()
             raise ChildLostError(f"{sys.executable!r} could not be started: {error}") from error
-        child = _Child(process, engine, memory_limit_mb, log)
+        child = Child(process, engine, memory_limit_mb, log)
         try:
             header, _ = child.ask(None, _START_LIMIT_S, None)
         except BaseException:
@@ -218,7 +157,7 @@ class _Watch:
 
 
 def _environment() -> dict[str, str]:
-    home = str(Path(__file__).resolve().parents[2])
+    home = str(Path(__file__).resolve().parents[3])
     path = [home, *(entry for entry in sys.path if entry)]
     # glibc reserves 64 MiB of address space for the heap of every thread, which a limit on address space would count.
     one = dict.fromkeys(("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1")
@@ -226,46 +165,9 @@ def _environment() -> dict[str, str]:
 
 
 def _exit_name(code: int) -> str:
-    import signal
-
     if code < 0:
         try:
             return signal.Signals(-code).name
         except ValueError:
             return f"signal {-code}"
     return f"exit status {code}"
-
-
-def _take(engine: str, memory_limit_mb: int | None) -> _Child:
-    with _lock:
-        for child in list(_idle):
-            if child.process.poll() is not None:
-                _idle.remove(child)
-                child.forget()
-            elif (child.engine, child.memory_limit_mb) == (engine, memory_limit_mb):
-                _idle.remove(child)
-                return child
-    return _Child.start(engine, memory_limit_mb)
-
-
-def _give_back(child: _Child) -> None:
-    with _lock:
-        if len(_idle) < _MAX_IDLE:
-            _idle.append(child)
-            return
-    child.kill()
-
-
-def _forget_after_fork() -> None:
-    # The children belong to the process that started them: two that talk over one pipe would read each other's answers.
-    global _lock
-    _lock = threading.Lock()
-    for child in _idle:
-        child.process.returncode = 0  # else subprocess warns that it still runs
-        child.forget()
-    _idle.clear()
-
-
-atexit.register(close_workers)
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(after_in_child=_forget_after_fork)

@@ -1,6 +1,6 @@
 """The child process in which an engine may abort, hang or run out of memory.
 
-`python -m gfp_grasp.collision.worker ENGINE [MIB]` reads jobs from its standard input and writes answers to its
+`python -m gfp_grasp.collision.engines.worker ENGINE [MIB]` reads jobs from its standard input and writes answers to its
 standard output, as `pipe` frames them. CoACD logs to file descriptor 1 from C++, so that descriptor is turned away to
 the null device before the engine is loaded, and the answers go out through a copy of it. When the parent goes away, its
 end of the input closes and the child ends itself, even in the midst of a job.
@@ -18,7 +18,7 @@ from typing import IO
 
 import numpy as np
 
-from gfp_grasp.collision import pipe
+from gfp_grasp.collision.engines import pipe
 
 # Vertices, faces and options to hulls, and the options that were unknown.
 Engine = Callable[[np.ndarray, np.ndarray, dict], tuple[list, list[str]]]

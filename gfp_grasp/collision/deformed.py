@@ -16,8 +16,9 @@ import trimesh
 from scipy.sparse import csr_matrix
 from scipy.spatial import KDTree
 
-from gfp_grasp.collision.convex import convex_parts, needed_corners, within_parts
-from gfp_grasp.collision.merging import groups_of, merge_tree
+from gfp_grasp.collision.convex import convex_parts, needed_corners
+from gfp_grasp.collision.levels import groups_of, merge_tree
+from gfp_grasp.collision.parts import within_parts
 from gfp_grasp.errors import InvalidMesh, InvalidOption
 from gfp_grasp.types import ConvexPart, GenericPrimitive
 
@@ -60,7 +61,7 @@ class _Binding:
 _bindings: WeakKeyDictionary[GenericPrimitive, dict[int, _Binding]] = WeakKeyDictionary()
 
 
-def carry_parts(
+def deform_parts(
     primitive: GenericPrimitive,
     deformed_local: np.ndarray,
     *,
@@ -85,7 +86,7 @@ def carry_parts(
     """
     if (count is not None and count < 1) or (max_vertices is not None and max_vertices < 4):
         raise InvalidOption(f"{count} parts of {max_vertices} vertices; at least one of four is expected")
-    primitive = bearer(primitive, len(deformed_local))
+    primitive = matching_primitive(primitive, len(deformed_local))
     if not primitive.parts:
         raise InvalidMesh(f"primitive {primitive.category!r} has no convex parts: `gfp-grasp gps parts` makes them")
     vertices = np.asarray(deformed_local, dtype=np.float64)
@@ -113,7 +114,7 @@ def _groups(primitive: GenericPrimitive, count: int) -> list[list[int]]:
     return groups_of(merges, len(primitive.parts), count)
 
 
-def bearer(primitive: GenericPrimitive, num_vertices: int) -> GenericPrimitive:
+def matching_primitive(primitive: GenericPrimitive, num_vertices: int) -> GenericPrimitive:
     """The primitive or the variant of it that has this many vertices.
 
     Raises:
