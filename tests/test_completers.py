@@ -10,7 +10,7 @@ import trimesh
 from scipy.spatial import KDTree
 
 from gfp_grasp.complete import Completion
-from gfp_grasp.completers import COMPLETERS, Oracle, completer, mirrored_cloud, needs_class
+from gfp_grasp.completers import COMPLETERS, Oracle, get_completer, mirror_cloud, needs_class
 from gfp_grasp.errors import InvalidCloud, InvalidMesh, InvalidOption, UnknownCompleter
 from gfp_grasp.types import CollisionMesh, ConvexPart, Detection, OrientedBox, PointCloud, SupportPlane
 
@@ -38,14 +38,14 @@ def truth():
 
 
 def test_what_was_seen_is_completed_to_its_hull():
-    completion = completer("observed")(detection_of(front_of_cylinder()))
+    completion = get_completer("observed")(detection_of(front_of_cylinder()))
     assert completion.mesh.is_volume
     np.testing.assert_allclose(completion.mesh.extents, (RADIUS_M, 2 * RADIUS_M, HEIGHT_M), atol=1e-4)
     assert completion.mesh.volume == pytest.approx(truth().volume / 2, rel=0.01)
 
 
 def test_the_mirror_makes_the_front_of_a_cylinder_whole():
-    completion = completer("mirror")(detection_of(front_of_cylinder()))
+    completion = get_completer("mirror")(detection_of(front_of_cylinder()))
     assert completion.mesh.is_volume
     np.testing.assert_allclose(completion.mesh.extents, (2 * RADIUS_M, 2 * RADIUS_M, HEIGHT_M), atol=0.003)
     assert completion.mesh.volume == pytest.approx(truth().volume, rel=0.05)
@@ -54,15 +54,15 @@ def test_the_mirror_makes_the_front_of_a_cylinder_whole():
 def test_the_mirror_turns_with_the_scene():
     yaw = np.deg2rad(50)
     R = np.array([[np.cos(yaw), -np.sin(yaw), 0], [np.sin(yaw), np.cos(yaw), 0], [0, 0, 1.0]])
-    here = completer("mirror")(detection_of(front_of_cylinder())).mesh
-    turned = completer("mirror")(detection_of(front_of_cylinder() @ R.T, R @ (0.6, 0.0, 0.06))).mesh
+    here = get_completer("mirror")(detection_of(front_of_cylinder())).mesh
+    turned = get_completer("mirror")(detection_of(front_of_cylinder() @ R.T, R @ (0.6, 0.0, 0.06))).mesh
     assert turned.volume == pytest.approx(here.volume, rel=1e-6)
     np.testing.assert_allclose(turned.center_mass, R @ here.center_mass, atol=1e-5)
 
 
 @pytest.mark.parametrize("name", ["observed", "mirror"])
 def test_hulls_know_what_was_seen_and_cost_no_decomposition(name):
-    completion = completer(name)(detection_of(front_of_cylinder()))
+    completion = get_completer(name)(detection_of(front_of_cylinder()))
     vertices = np.asarray(completion.mesh.vertices)
     at_front = vertices[:, 0] > 0.6 * RADIUS_M
     inner = (vertices[:, 2] > 0.02) & (vertices[:, 2] < 0.1)
@@ -76,14 +76,14 @@ def test_hulls_know_what_was_seen_and_cost_no_decomposition(name):
 
 def test_sigma_of_a_hull_is_the_sensors_and_a_tenth_of_the_way_to_the_nearest_point():
     points = front_of_cylinder()
-    completion = completer("observed")(detection_of(points))
+    completion = get_completer("observed")(detection_of(points))
     away = KDTree(points).query(np.asarray(completion.mesh.vertices))[0]
     assert away.max() > 0.02
     assert completion.sigma_m == pytest.approx(np.hypot(completion.detection.sensor_sigma_m, 0.1 * away))
 
 
 def test_edges_of_a_hull_are_split_to_8_mm():
-    mesh = completer("observed")(detection_of(front_of_cylinder())).mesh
+    mesh = get_completer("observed")(detection_of(front_of_cylinder())).mesh
     assert np.median(mesh.edges_unique_length) < 0.008 < mesh.edges_unique_length.max() < 0.016  # diagonals are longer
 
 
@@ -93,11 +93,11 @@ def test_the_mirror_of_a_view_from_straight_above_is_some_upright_plane():
     points[:, 0] *= 1 - points[:, 2] / 0.07
     points -= (*points[:, :2].mean(axis=0), 0)
     detection = detection_of(points, viewpoint=(0.0, 0.0, 1.0))
-    both = mirrored_cloud(detection)
+    both = mirror_cloud(detection)
     assert np.isfinite(both).all()
     assert both[:400] == pytest.approx(points)
     assert both[400:, 2] == pytest.approx(points[:, 2])
-    assert completer("mirror")(detection).mesh.is_volume
+    assert get_completer("mirror")(detection).mesh.is_volume
 
 
 def test_the_mirror_is_at_the_depth_of_the_silhouettes_edges_where_these_are_deeper():
@@ -105,7 +105,7 @@ def test_the_mirror_is_at_the_depth_of_the_silhouettes_edges_where_these_are_dee
     turn = np.deg2rad(-35)
     R = np.array([[np.cos(turn), -np.sin(turn), 0], [np.sin(turn), np.cos(turn), 0], [0, 0, 1.0]])
     points = front_of_cylinder() @ R.T + (0.2, -0.3, 0.0)
-    both = mirrored_cloud(detection_of(points, viewpoint=R @ (0.8, 0.0, 0.5) + (0.2, -0.3, 0.0)))
+    both = mirror_cloud(detection_of(points, viewpoint=R @ (0.8, 0.0, 0.5) + (0.2, -0.3, 0.0)))
     images = both[len(points) :] - (0.2, -0.3, 0.0)
     # All images lie on the same cylinder; none is where a point was seen.
     assert np.linalg.norm(images[:, :2], axis=1) == pytest.approx(np.full(len(points), RADIUS_M), abs=3e-3)
@@ -117,7 +117,7 @@ def test_the_mirror_is_at_the_middle_of_what_was_seen_where_the_silhouette_is_ne
     """An upright wedge whose edge points away: the edges of its silhouette are nearest to the eye."""
     y, z = np.meshgrid(np.linspace(-0.04, 0.04, 41), np.linspace(0, 0.1, 21))
     points = np.stack([-0.05 * (1 - np.abs(y) / 0.04), y, z], axis=-1).reshape(-1, 3)
-    images = mirrored_cloud(detection_of(points, viewpoint=(0.6, 0.0, 0.05)))[len(points) :]
+    images = mirror_cloud(detection_of(points, viewpoint=(0.6, 0.0, 0.05)))[len(points) :]
     middle = np.mean(np.quantile(points[:, 0], [0.01, 0.99]))
     assert images == pytest.approx(points * (-1, 1, 1) + (2 * middle, 0, 0))
 
@@ -126,19 +126,19 @@ def test_the_mirror_is_at_the_middle_of_what_was_seen_where_the_silhouette_is_ne
 def test_points_of_a_plane_have_no_hull(name):
     flat = front_of_cylinder() * (0.0, 1.0, 1.0)
     with pytest.raises(InvalidCloud, match="a plane or a line"):
-        completer(name)(detection_of(flat))
+        get_completer(name)(detection_of(flat))
 
 
 def test_the_mirror_needs_a_viewpoint():
     with pytest.raises(InvalidCloud, match="viewpoint"):
-        completer("mirror")(detection_of(front_of_cylinder(), viewpoint=None))
+        get_completer("mirror")(detection_of(front_of_cylinder(), viewpoint=None))
 
 
 def test_the_oracle_alone_is_given_the_truth():
-    oracle = completer("oracle")
+    oracle = get_completer("oracle")
     assert isinstance(oracle, Oracle)
     assert oracle.needs_truth
-    assert not any(isinstance(completer(name), Oracle) for name in COMPLETERS if name != "oracle")
+    assert not any(isinstance(get_completer(name), Oracle) for name in COMPLETERS if name != "oracle")
     mesh = truth()
     parts = CollisionMesh((ConvexPart(mesh.vertices, mesh.faces),), (0.0, 0.0, 0.0), "hull", 0.0)
     completion = oracle(detection_of(front_of_cylinder()), mesh, parts)
@@ -148,17 +148,17 @@ def test_the_oracle_alone_is_given_the_truth():
 
 def test_the_oracle_refuses_to_guess():
     with pytest.raises(InvalidOption, match="needs the true mesh"):
-        completer("oracle")(detection_of(front_of_cylinder()))
+        get_completer("oracle")(detection_of(front_of_cylinder()))
 
 
 def test_a_function_of_the_users_is_found_by_its_name():
-    completion = completer("own_completers:upright_box")(detection_of(front_of_cylinder()))
+    completion = get_completer("own_completers:upright_box")(detection_of(front_of_cylinder()))
     assert isinstance(completion, Completion)
     assert completion.mesh.volume == pytest.approx(RADIUS_M * 2 * RADIUS_M * HEIGHT_M, rel=1e-3)
 
 
 def test_an_open_mesh_of_a_users_function_is_made_solid():
-    completion = completer("own_completers:open_box")(detection_of(front_of_cylinder()))
+    completion = get_completer("own_completers:open_box")(detection_of(front_of_cylinder()))
     assert completion.mesh.is_volume
     assert not own_completers.open_box(detection_of(front_of_cylinder())).is_volume
     assert completion.mesh.volume == pytest.approx(RADIUS_M * 2 * RADIUS_M * HEIGHT_M, rel=0.05)
@@ -172,7 +172,7 @@ def test_only_those_that_look_at_points_alone_need_no_class():
 
 def test_a_function_that_returns_no_mesh_is_refused():
     with pytest.raises(InvalidMesh, match="returned a str"):
-        completer("own_completers:returns_text")(detection_of(front_of_cylinder()))
+        get_completer("own_completers:returns_text")(detection_of(front_of_cylinder()))
     assert own_completers.returns_text(None) == "a mesh"
 
 
@@ -188,7 +188,7 @@ def test_a_function_that_returns_no_mesh_is_refused():
 )
 def test_an_unknown_completer_is_told_what_there_is(name, message):
     with pytest.raises(UnknownCompleter, match=message):
-        completer(name)
+        get_completer(name)
 
 
 @pytest.mark.parametrize(
@@ -206,7 +206,7 @@ def test_an_unknown_completer_is_told_what_there_is(name, message):
 def test_the_packages_own_methods_complete_the_cylinder(name, error_mm):
     """What was seen is met, by those that only place the mean primitive as well as it is alike."""
     points = front_of_cylinder()
-    completion = completer(name)(detection_of(points))
+    completion = get_completer(name)(detection_of(points))
     mesh = completion.mesh
     assert mesh.is_volume
     assert completion.fit is not None
@@ -219,7 +219,7 @@ def test_the_packages_own_methods_complete_the_cylinder(name, error_mm):
 def test_the_packages_own_methods_differ_by_what_they_do_with_the_fit():
     """One fit, deformed in four ways or not at all: five surfaces, no two alike."""
     names = ("registration", "gfs", "gfpnet-oneshot", "gfpnet-paper", "gfpnet")
-    found = [np.asarray(completer(name)(detection_of(front_of_cylinder())).mesh.vertices) for name in names]
+    found = [np.asarray(get_completer(name)(detection_of(front_of_cylinder())).mesh.vertices) for name in names]
     for i, a in enumerate(found):
         for b in found[:i]:
             assert np.abs(a - b).max() > 1e-4
@@ -227,6 +227,7 @@ def test_the_packages_own_methods_differ_by_what_they_do_with_the_fit():
 
 
 def test_naming_a_completer_without_a_network_loads_no_torch():
-    code = "import sys; from gfp_grasp.completers import completer; completer('mirror'); print('torch' in sys.modules)"
+    code = "import sys; from gfp_grasp.completers import get_completer; get_completer('mirror')"
+    code += "; print('torch' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"

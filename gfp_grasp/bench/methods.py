@@ -10,7 +10,7 @@ import trimesh
 
 from gfp_grasp.bench.views import ObjectView, extents_of
 from gfp_grasp.complete import CompleteConfig, complete_to_mesh
-from gfp_grasp.completers import CONFIGS, complete_as_observed, mirrored_cloud
+from gfp_grasp.completers import CONFIGS, complete_as_observed, mirror_cloud
 from gfp_grasp.completion import Completion
 from gfp_grasp.deform import DeformConfig, Method
 from gfp_grasp.detect import detect_single
@@ -94,7 +94,7 @@ def _without(**switches: object) -> CompleteConfig:
 _SIMPLE: Mapping[str, Callable[[ObjectView], trimesh.Trimesh | np.ndarray]] = {
     "partial": lambda view: view.cloud.points,
     "observed": lambda view: complete_as_observed(_detection(view)).mesh,
-    "mirror": lambda view: mirrored_cloud(_detection(view)),
+    "mirror": lambda view: mirror_cloud(_detection(view)),
 }
 _PAPER: Mapping[str, tuple[Callable[..., FitConfig], Method]] = {
     "told-icp": (icp_config, "none"),

@@ -15,7 +15,7 @@ from typing import Any, Literal
 import numpy as np
 
 from gfp_grasp.complete import Completion
-from gfp_grasp.completers import completer
+from gfp_grasp.completers import get_completer
 from gfp_grasp.envs.config import EnvConfig
 from gfp_grasp.envs.episode import Episode, draw_episode
 from gfp_grasp.envs.settings import TrialSettings
@@ -54,7 +54,7 @@ class GraspTask:
         self.config = config
         self.settings = settings
         self.sources = load_objects(config.objects, config.split, config.limit or None)
-        self._complete = completer(config.completer)
+        self._complete = get_completer(config.completer)
         self.num_kept = num_kept
         self._true_worlds: OrderedDict[int, tuple[TrueObject, World]] = OrderedDict()
         self._episode: Episode | None = None

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from gfp_grasp import __version__
-from gfp_grasp.completers import completer
+from gfp_grasp.completers import get_completer
 from gfp_grasp.envs import TrialSettings
 from gfp_grasp.errors import GfpGraspError, InvalidMesh, InvalidOption
 from gfp_grasp.grasps import get_planner
@@ -44,7 +44,7 @@ def score(
 
     Args:
         objects: Families ("cup,mug"), a mesh file, or a folder of `<class>__<name>.<suffix>`.
-        completers: Names, see `gfp_grasp.completers.completer`; behind a slash the planner's, see
+        completers: Names, see `gfp_grasp.completers.get_completer`; behind a slash the planner's, see
             `gfp_grasp.grasps.get_planner`, if it is not `antipodal`, as in "gfpnet/top-down".
         config: Objects, views and grasps.
         workers: Number of processes; the result does not depend on it.
@@ -64,7 +64,7 @@ def score(
         raise InvalidOption(f"completers are {tuple(completers)}; at least one is expected, and each but once")
     for method in completers:
         completer_name, planner_name = method_names(method)
-        completer(completer_name)
+        get_completer(completer_name)
         get_planner(planner_name)
     how = {"workers": workers, "ray": ray}
     kept, ungraspable = _split_graspable(_chosen(objects, config), str(objects), config.split, **how)
