@@ -50,16 +50,10 @@ PAST_FACES = {
     "cli -> train.classifier",
     "cli -> train.gfpnet",
     "cli -> train.pcrnet",
-    "deform -> register.evidence",
-    "deform -> register.pcrnet",
     "demo -> captures.read",
     "train -> deform.gfpnet",
     "train -> deform.patches",
     "train -> detect.classifier",
-    "train -> register.evidence",
-    "train -> register.pcrnet",
-    "train -> register.starts",
-    "train -> register.state",
     "score -> detect.box",
 }
 # Files that still name a class: strike out what you mend, add nothing.

@@ -7,7 +7,7 @@ from gfp_grasp.clouds import estimate_normals, thin
 from gfp_grasp.errors import FitDiverged, InvalidOption, TooFewPoints
 from gfp_grasp.meshes import sample_surface
 from gfp_grasp.metrics import chamfer_m
-from gfp_grasp.register import FitConfig, ModesConfig, fit_primitive, gather_evidence, icp_config, pcrnet_config
+from gfp_grasp.register import FitConfig, RefineConfig, fit_primitive, gather_evidence, icp_config, pcrnet_config
 from gfp_grasp.transforms import apply_T, make_T, rotation_about
 from gfp_grasp.types import Detection, OrientedBox, PointCloud, SupportPlane
 
@@ -73,7 +73,7 @@ def test_fit_shifts_with_its_input():
 def test_scale_switched_off_leaves_scale_at_its_start_and_fits_worse():
     mesh = random_cup(np.random.default_rng(5))
     truth, detection = see(mesh, 3)
-    rigid = ModesConfig(estimate_modes=False, estimate_scale=False)
+    rigid = RefineConfig(estimate_modes=False, estimate_scale=False)
     stiff = fit_primitive(
         detection, toy_cup_primitive(), config=FitConfig(start="box", quick=rigid, middle=rigid, thorough=rigid)
     )
@@ -152,7 +152,7 @@ def test_space_seen_free_pushes_back_what_stands_in_it():
     centre = detection.cloud.points.mean(axis=0)
     sideways = np.cross(detection.cloud.viewpoint - centre, (0, 0, 1))
     outside = centre + 0.12 * sideways / np.linalg.norm(sideways)
-    index, back = silhouette.trespass(np.array([centre, outside]))
+    index, back = silhouette.free_space_violation(np.array([centre, outside]))
     assert index.tolist() == [1]
     # The way back leads to the object's silhouette.
     assert np.linalg.norm(outside + back[0] - centre) < 0.08

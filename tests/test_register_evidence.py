@@ -141,7 +141,7 @@ def test_a_picture_says_free_only_up_to_what_it_saw_beside_the_object():
 
     def out(row, column, z) -> bool:
         point = np.array([[(column - 24) * z / 60, (row - 19) * z / 70, z]])
-        return len(silhouette.trespass(apply_T(T, point))[0]) == 1
+        return len(silhouette.free_space_violation(apply_T(T, point))[0]) == 1
 
     assert not out(15, 15, 0.5)
     assert out(15, 25, 1.4)
@@ -150,7 +150,7 @@ def test_a_picture_says_free_only_up_to_what_it_saw_beside_the_object():
     assert out(35, 15, 0.3)
     assert not out(35, 15, 0.5)
     # The way back leads to the nearest pixel of the object: eight columns to the left and five rows up.
-    index, back = silhouette.trespass(apply_T(T, np.array([[(29 - 24) / 60.0, (24 - 19) / 70.0, 1.0]])))
+    index, back = silhouette.free_space_violation(apply_T(T, np.array([[(29 - 24) / 60.0, (24 - 19) / 70.0, 1.0]])))
     assert index.tolist() == [0]
     assert back[0] @ T[:3, :3] == pytest.approx([-8 / 60, -5 / 70, 0])
 
@@ -177,12 +177,14 @@ def test_the_outline_of_a_sparse_cloud_has_no_holes_and_ends_where_the_cloud_end
             ),
         )
 
-    assert len(silhouette.trespass(on_disc(radius))[0]) == 0
+    assert len(silhouette.free_space_violation(on_disc(radius))[0]) == 0
     around = on_disc(np.full_like(radius, 0.075))
-    index, back = silhouette.trespass(around)
+    index, back = silhouette.free_space_violation(around)
     assert len(index) == len(around)
     # At any depth: a cloud does not say how far the sensor sees beside it.
-    assert len(silhouette.trespass(on_disc(np.full_like(radius, 0.075 * 3), 3 * distance))[0]) == len(around)
+    assert len(silhouette.free_space_violation(on_disc(np.full_like(radius, 0.075 * 3), 3 * distance))[0]) == len(
+        around
+    )
     inward = (centre - around[index]) / np.linalg.norm(centre - around[index], axis=1, keepdims=True)
     assert np.linalg.norm(back, axis=1) == pytest.approx(0.015, abs=0.006)
     assert np.einsum("ni,ni->n", inward, back).min() > 0.008
@@ -243,9 +245,14 @@ def test_the_straight_edge_of_what_hides_the_top_is_found_with_its_side():
     axis = evidence.points.mean(axis=0)
     beyond = axis + UP * (0.22 - (axis - np.array([0.3, 0.4, 0.1])) @ UP)
     beside = axis + 0.09 * np.cross(UP, SIDE)
-    assert evidence.silhouette.trespass(np.array([beyond, beside]))[0].tolist() == [0, 1]
-    assert hidden.silhouette.trespass(np.array([beyond, beside]))[0].tolist() == [1]
+    assert evidence.silhouette.free_space_violation(np.array([beyond, beside]))[0].tolist() == [0, 1]
+    assert hidden.silhouette.free_space_violation(np.array([beyond, beside]))[0].tolist() == [1]
     assert hidden.viewpoint == pytest.approx(viewpoint)
+    # Nothing is known from the very edge on.
+    along = (evidence.points - viewpoint) @ normal
+    just_beyond = evidence.points + (0.004 - along)[:, None] * normal
+    assert len(evidence.silhouette.free_space_violation(just_beyond)[0]) > 50
+    assert len(hidden.silhouette.free_space_violation(just_beyond)[0]) < 5
 
 
 def test_without_a_straight_edge_nothing_is_known_beyond_what_faces_the_viewpoint():
@@ -254,7 +261,7 @@ def test_without_a_straight_edge_nothing_is_known_beyond_what_faces_the_viewpoin
     assert hidden.cut is None
     axis = evidence.points.mean(axis=0)
     beyond, beside = axis + 0.14 * UP, axis + 0.09 * np.cross(UP, SIDE)
-    assert hidden.silhouette.trespass(np.array([beyond, beside]))[0].tolist() == [1]
+    assert hidden.silhouette.free_space_violation(np.array([beyond, beside]))[0].tolist() == [1]
     assert hidden.floor_sigma_m == evidence.floor_sigma_m
 
 
@@ -276,6 +283,38 @@ def test_a_ball_has_no_straight_edge():
     points = 0.05 * directions[directions @ viewpoint > 0.06]
     evidence = gather_evidence(_detection(points, viewpoint))
     assert cut_off(evidence).cut is None
+
+
+def _facing_plate(flat: np.ndarray):
+    """Evidence of a flat plate that faces the viewpoint, and the axes of the plate in the world."""
+    viewpoint, centre = np.array([0.9, -0.5, 1.1]), np.array([0.1, 0.2, 0.3])
+    T = camera_at(viewpoint, centre)
+    points = apply_T(T, np.column_stack([flat, np.full(len(flat), np.linalg.norm(viewpoint - centre))]))
+    return gather_evidence(_detection(points, viewpoint)), T[:3, :3]
+
+
+def test_a_straight_edge_is_one_only_where_nothing_lies_beyond_it():
+    flat = np.random.default_rng(5).uniform(-0.06, 0.06, (20000, 2))
+    flat = flat[np.hypot(*flat.T) < 0.06]
+    segment, axes = _facing_plate(flat[flat[:, 0] < 0.03])
+    cut = cut_off(segment).cut
+    assert cut is not None
+    assert cut @ axes[:, 0] > 0.99
+    # The sides of a slot are straight and face the viewpoint, but the plate goes on beyond them.
+    slotted, _ = _facing_plate(flat[(np.abs(flat[:, 0]) > 0.012) | (flat[:, 1] < -0.04)])
+    assert cut_off(slotted).cut is None
+
+
+def test_a_few_wrong_normals_make_no_edge_of_the_straight_side_of_a_pillar():
+    evidence, _, viewpoint = _pillar(SIDE)
+    toward = viewpoint - evidence.points
+    toward /= np.linalg.norm(toward, axis=1, keepdims=True)
+    wrong = np.random.default_rng(0).random(len(toward)) < 0.3
+    sides = np.abs((evidence.points - evidence.points.mean(axis=0)) @ np.cross(UP, SIDE)) > 0.03
+    normals = np.where((wrong & sides)[:, None], toward, np.where(sides[:, None], np.cross(UP, SIDE), -toward))
+    assert cut_off(replace(evidence, normals=normals)).cut is None
+    normals = np.where(sides[:, None], toward, -toward)
+    assert cut_off(replace(evidence, normals=normals)).cut is not None
 
 
 # ---- a handle

@@ -10,14 +10,13 @@ from gfp_grasp.bench.views import view_object
 from gfp_grasp.detect import detect_single
 from gfp_grasp.observation import canonical_frame
 from gfp_grasp.primitives import load_kinds, load_primitive
-from gfp_grasp.register import FitConfig, ModesConfig, fit_best, fit_primitive, gather_evidence
-from gfp_grasp.register.correspond import nearest
-from gfp_grasp.register.modes import judge, refine
+from gfp_grasp.register import FitConfig, RefineConfig, fit_best, fit_primitive, gather_evidence
 from gfp_grasp.register.occlusion import cut_off
-from gfp_grasp.register.ovality import ovality_gram, round_share
-from gfp_grasp.register.posterior import costs, linearise, shape_model
-from gfp_grasp.register.starts import starts
+from gfp_grasp.register.posterior import evaluate_costs, linearise, shape_model
+from gfp_grasp.register.refine import evaluate_states, refine
+from gfp_grasp.register.starts import make_starts
 from gfp_grasp.register.state import StateBatch
+from gfp_grasp.register.terms import circular_share, ellipticity_gram, find_nearest, make_terms
 from gfp_grasp.shapes import make_shape, split_seeds
 
 
@@ -30,7 +29,7 @@ def _detection(category: str, index: int = 0, *, protocol: str = "standard", see
 
 def test_states_are_refined_side_by_side_as_they_are_alone():
     primitive, evidence = load_primitive("cup"), gather_evidence(_detection("cup"))
-    beginnings = starts(primitive, evidence, ("upright", "lying"))
+    beginnings = make_starts(primitive, evidence, ("upright", "lying"))
     together = refine(beginnings, primitive, evidence)
     alone = [refine([state], primitive, evidence)[0] for state in beginnings]
     for a, b in zip(together, alone, strict=True):
@@ -42,7 +41,9 @@ def test_states_are_refined_side_by_side_as_they_are_alone():
 
 def test_with_few_modes_the_others_stay_at_the_mean():
     primitive, evidence = load_primitive("cup"), gather_evidence(_detection("cup"))
-    state = refine(starts(primitive, evidence, ("upright",))[:1], primitive, evidence, ModesConfig(num_modes=4))[0]
+    state = refine(make_starts(primitive, evidence, ("upright",))[:1], primitive, evidence, RefineConfig(num_modes=4))[
+        0
+    ]
     assert len(state.coefficients) == len(primitive.modes)
     assert state.coefficients[:4].all()
     assert not state.coefficients[4:].any()
@@ -52,7 +53,7 @@ def test_the_nearest_of_few_samples_is_that_of_a_tree():
     rng = np.random.default_rng(0)
     asked, features = (rng.normal(size=(count, 6)).astype(np.float32) for count in (200, 500))
     half = 0.5 * (features**2).sum(axis=1)
-    assert np.array_equal(nearest(asked, features, half)[0], KDTree(features).query(asked)[1])
+    assert np.array_equal(find_nearest(asked, features, half)[0], KDTree(features).query(asked)[1])
 
 
 def test_what_the_class_says_worse_than_its_kind_is_the_kinds():
@@ -63,19 +64,21 @@ def test_what_the_class_says_worse_than_its_kind_is_the_kinds():
     assert fit_best(evidence, [(cup, 0.0), (stemmed, 1e6)]).primitive is cup
 
 
-@pytest.mark.parametrize("oval_m", [None, 0.001])
-def test_the_gradient_of_the_priors_is_that_of_the_cost(oval_m):
+@pytest.mark.parametrize("ellipticity_m", [None, 0.001])
+def test_the_gradient_of_the_priors_is_that_of_the_cost(ellipticity_m):
     primitive, evidence = load_primitive("bottle"), gather_evidence(_detection("bottle"))
     # Without points and free space, whose correspondences jump, the cost is smooth.
-    config = ModesConfig(effective_points=1e-9, free_space=False, support=False, oval_m=oval_m)
-    state = replace(starts(primitive, evidence, ("upright",))[0], coefficients=np.linspace(-1, 1, len(primitive.modes)))
+    config = RefineConfig(effective_points=1e-9, free_space=False, support=False, ellipticity_m=ellipticity_m)
+    state = replace(
+        make_starts(primitive, evidence, ("upright",))[0], coefficients=np.linspace(-1, 1, len(primitive.modes))
+    )
     model = shape_model(primitive, config.num_samples, config.num_modes)
-    every = model.num_modes
+    every, terms = model.num_modes, make_terms(evidence, config)
 
     def cost(changed) -> float:
-        return float(costs(StateBatch.of([changed], every), model, evidence, config, 0.003)[0][0])
+        return float(evaluate_costs(StateBatch.of([changed], every), model, terms, 0.003)[0][0])
 
-    gradient = linearise(StateBatch.of([state], every), model, evidence, config, 0.003)[1][0]
+    gradient = linearise(StateBatch.of([state], every), model, terms, 0.003)[1][0]
     step = 1e-5
     for axis in range(3):
         e = step * np.eye(3)[axis]
@@ -91,20 +94,20 @@ def test_the_gradient_of_the_priors_is_that_of_the_cost(oval_m):
         assert -by_mode / (2 * step) == pytest.approx(gradient[9 + mode], rel=1e-3, abs=1e-3)
 
 
-def test_ovality_is_the_second_harmonic_of_the_radius():
+def test_ellipticity_is_the_second_harmonic_of_the_radius():
     primitive = load_primitive("cup")
-    gram = ovality_gram(primitive)
+    gram = ellipticity_gram(primitive)
 
-    def oval_m(scale) -> float:
+    def ellipticity_m(scale) -> float:
         u = np.concatenate([np.asarray(scale)[:, None], np.zeros((3, len(primitive.modes)))], axis=1).ravel()
         return float(np.sqrt(u @ gram @ u))
 
     radius = np.ptp(primitive.vertices[:, 0]) / 2
-    assert oval_m((1, 1, 1)) < 0.0005
+    assert ellipticity_m((1, 1, 1)) < 0.0005
     # x longer and y shorter by 5 %: the radius swings by 5 % of itself, narrower towards the foot.
-    assert 0.7 * 0.05 * radius < oval_m((1.05, 0.95, 1)) < 1.1 * 0.05 * radius
-    assert oval_m((1.2, 1.2, 0.7)) == pytest.approx(1.2 * oval_m((1, 1, 1)), rel=1e-9)
-    assert round_share(load_primitive("mug"), 0.0006) > round_share(load_primitive("bottle"), 0.0006) > 0.3
+    assert 0.7 * 0.05 * radius < ellipticity_m((1.05, 0.95, 1)) < 1.1 * 0.05 * radius
+    assert ellipticity_m((1.2, 1.2, 0.7)) == pytest.approx(1.2 * ellipticity_m((1, 1, 1)), rel=1e-9)
+    assert circular_share(load_primitive("mug"), 0.0006) > circular_share(load_primitive("bottle"), 0.0006) > 0.3
 
 
 def test_a_round_bottle_is_found_round_and_an_oval_one_is_not():
@@ -114,15 +117,15 @@ def test_a_round_bottle_is_found_round_and_an_oval_one_is_not():
         if abs(width / depth - 1) < 0.005 or abs(width / depth - 1) > 0.15:
             seeds[abs(width / depth - 1) < 0.005].append(index)
     primitive = load_primitive("bottle")
-    gram = ovality_gram(primitive)
+    gram = ellipticity_gram(primitive)
 
-    def oval_m(index: int) -> float:
+    def ellipticity_m(index: int) -> float:
         fit = fit_primitive(_detection("bottle", index), primitive)
         u = (fit.scale[:, None] * np.insert(fit.coefficients, 0, 1.0)[None]).ravel()
         return float(np.sqrt(u @ gram @ u))
 
-    assert np.median([oval_m(i) for i in seeds[True][:4]]) < 0.0006
-    assert np.median([oval_m(i) for i in seeds[False][:4]]) > 0.0015
+    assert np.median([ellipticity_m(i) for i in seeds[True][:4]]) < 0.0006
+    assert np.median([ellipticity_m(i) for i in seeds[False][:4]]) > 0.0015
 
 
 @pytest.mark.parametrize("index", [5, 6, 7])
@@ -157,9 +160,10 @@ def test_a_whole_object_is_not_taken_for_cut_off():
     primitive = load_primitive("cup")
     for index in range(4):
         evidence = gather_evidence(_detection("cup", index))
-        state = refine(starts(primitive, evidence, ("upright",))[:1], primitive, evidence)
+        state = refine(make_starts(primitive, evidence, ("upright",))[:1], primitive, evidence)
         config = FitConfig().thorough
         bound, free = (
-            judge(state, primitive, evidence, replace(config, free_space=flag))[0].cost for flag in (True, False)
+            evaluate_states(state, primitive, evidence, replace(config, free_space=flag))[0].cost
+            for flag in (True, False)
         )
         assert bound - free < 10

@@ -14,19 +14,20 @@ from toy_wedge import UP, face_normals, positions, toy_evidence, wedge_primitive
 from gfp_grasp.camera import cast_rays
 from gfp_grasp.errors import FitDiverged
 from gfp_grasp.meshes import sample_surface
-from gfp_grasp.register import FitConfig, ModesConfig, fit_best, icp_config, pcrnet, pcrnet_config, race
+from gfp_grasp.register import FitConfig, RefineConfig, fit_best, icp_config, pcrnet, pcrnet_config, pruning
 from gfp_grasp.register import fit as fit_module
-from gfp_grasp.register.race import Race, best_of, blocking_cost, total_cost
-from gfp_grasp.register.starts import starts
+from gfp_grasp.register.occlusion import blocking_cost, truncation_cost
+from gfp_grasp.register.pruning import Search, distinct_leaders, search_starts, total_cost, within_margin
+from gfp_grasp.register.starts import make_starts
 from gfp_grasp.transforms import rotation_about, rotation_between
 from gfp_grasp.types import Symmetry
 
-QUICK = ModesConfig(steps=(0.02, 0.015, 0.01, 0.008), num_points=100, num_samples=300)
+QUICK = RefineConfig(steps=(0.02, 0.015, 0.01, 0.008), num_points=100, num_samples=300)
 LIGHT = FitConfig(
     quick=QUICK,
     middle=replace(QUICK, steps=(0.008, 0.006, 0.005)),
     thorough=replace(QUICK, steps=(0.004, 0.003), num_points=200),
-    keep=2,
+    num_kept=2,
     roundness=False,
 )
 
@@ -62,7 +63,7 @@ def test_a_standing_start_is_the_truth_where_the_whole_surface_is_seen(hypothesi
     R = rotation_between((0, 0, 1), axis) @ rotation_about((0, 0, 1), 0.8)
     truth, primitive = _wedge_standing(R), wedge_primitive()
     evidence = _evidence_of(truth, primitive, truth.t + 2 * R[:, 0] + UP)
-    found = starts(primitive, evidence, (hypothesis,))
+    found = make_starts(primitive, evidence, (hypothesis,))
     assert len(found) == 8
     best = min(found, key=lambda state: np.abs(state.R - R).max())
     # The direction to the viewer is taken from the middle of the points, a few centimetres off the axis.
@@ -85,7 +86,7 @@ def test_a_standing_start_reaches_down_to_the_floor():
     evidence = _evidence_of(truth, primitive, truth.t + 2 * R[:, 0])
     lower = replace(evidence, floor_m=evidence.floor_m - 0.01)
     for hypothesis in ("upright", "upside_down"):
-        for near, far in zip(*(starts(primitive, e, (hypothesis,)) for e in (evidence, lower)), strict=True):
+        for near, far in zip(*(make_starts(primitive, e, (hypothesis,)) for e in (evidence, lower)), strict=True):
             ends = [np.quantile(_mesh(state, primitive).vertices @ UP, (0, 1)) for state in (near, far)]
             assert ends[0][0] == pytest.approx(evidence.floor_m, abs=0.001)
             assert ends[1][0] == pytest.approx(evidence.floor_m - 0.01, abs=0.001)
@@ -99,7 +100,7 @@ def test_the_near_side_of_a_start_is_the_near_side_of_the_points():
     half = whole.points @ R[:, 0] > np.median(whole.points @ R[:, 0])
     evidence = replace(whole, points=whole.points[half], normals=whole.normals[half])
     bound = 2 * np.sqrt(np.diag(primitive.log_scale_cov) + 1e-4)
-    found = [s for s in starts(primitive, evidence, ("upright",)) if (np.abs(s.log_scale) < bound - 1e-9).all()]
+    found = [s for s in make_starts(primitive, evidence, ("upright",)) if (np.abs(s.log_scale) < bound - 1e-9).all()]
     assert len(found) >= 2
     for state in found:
         nearest = float((_mesh(state, primitive).vertices @ R[:, 0]).max())
@@ -115,7 +116,7 @@ def test_a_lying_start_is_the_truth_of_a_long_body():
     longer = replace(primitive, vertices=primitive.vertices * (0.5, 0.5, 4.0), modes=primitive.modes * 0.1)
     truth = replace(_wedge_standing(R))
     evidence = _evidence_of(truth, longer, truth.t + 2 * np.cross(axis, UP) + UP)
-    found = starts(longer, evidence, ("lying",))
+    found = make_starts(longer, evidence, ("lying",))
     assert len(found) == 4
     best = min(found, key=lambda state: np.abs(state.R - R).max())
     assert np.abs(best.R - R).max() < 0.1
@@ -139,7 +140,7 @@ def test_starts_are_turned_by_what_the_symmetry_does_not_hide(order, turns_deg):
     primitive = replace(wedge_primitive(), symmetry=Symmetry(np.array([0.0, 0, 1]), order))
     truth = _wedge_standing(rotation_between((0, 0, 1), UP))
     evidence = _evidence_of(truth, primitive, truth.t + np.array([2.0, 0.3, 1.0]))
-    found = starts(primitive, evidence, ("upright",))
+    found = make_starts(primitive, evidence, ("upright",))
     turned = [Rotation.from_matrix(found[0].R.T @ state.R).as_rotvec(degrees=True)[2] % 360 for state in found]
     assert turned == pytest.approx(turns_deg, abs=1e-6)
 
@@ -150,7 +151,7 @@ def test_a_start_is_no_larger_or_smaller_than_twice_the_spread_of_the_class():
     huge = replace(truth, log_scale=np.full(3, 2.0))
     bound = 2 * np.sqrt(np.diag(primitive.log_scale_cov) + 1e-4)
     for state, sign in ((huge, 1), (replace(truth, log_scale=np.full(3, -2.0)), -1)):
-        for start in starts(primitive, _evidence_of(state, primitive, truth.t + 9.0), ("upright",)):
+        for start in make_starts(primitive, _evidence_of(state, primitive, truth.t + 9.0), ("upright",)):
             assert start.log_scale == pytest.approx(sign * bound)
 
 
@@ -160,7 +161,7 @@ def test_seen_from_straight_above_the_shortest_side_of_the_points_faces_the_view
     truth = _wedge_standing(R)
     points, normals = _surface(truth, primitive)
     for viewpoint in (None, points.mean(axis=0) + 2.0 * UP):
-        state = starts(primitive, toy_evidence(points, normals, viewpoint=viewpoint), ("upright",))[0]
+        state = make_starts(primitive, toy_evidence(points, normals, viewpoint=viewpoint), ("upright",))[0]
         assert state.R[:, 2] == pytest.approx(UP)
         assert abs(state.R[:, 0] @ R[:, 1]) > 0.95  # the wedge is 12 cm along x and 8 along y
 
@@ -180,9 +181,9 @@ def test_an_end_that_is_hidden_goes_on_to_the_proportions_of_the_primitive(up, a
     own_height, own_width = 2.0, 2.5 if up and across and abs(up) > 0.5 and abs(across) > 0.5 else 1.0
     if abs(across) > 0.5 and abs(up) < 0.5:
         own_height, own_width = 0.8, 1.0
-    from gfp_grasp.register.starts import _as_it_goes_on
+    from gfp_grasp.register.starts import _complete_ends
 
-    found = _as_it_goes_on((0.0, 1.0), own_height, up, (-0.5, 0.5), own_width, across)
+    found = _complete_ends((0.0, 1.0), own_height, up, (-0.5, 0.5), own_width, across)
     assert found[0] == pytest.approx(height)
     assert found[1] == pytest.approx(width)
 
@@ -198,7 +199,7 @@ def test_a_start_of_what_is_cut_off_goes_on_beyond_the_cut_and_only_there():
         half = replace(whole, points=whole.points[seen], normals=whole.normals[seen])
         tilted = sign * (R[:, 1] + 0.1 * UP)
         cut = replace(half, cut=tilted / np.linalg.norm(tilted))
-        state = starts(primitive, cut, ("upright",))[0]
+        state = make_starts(primitive, cut, ("upright",))[0]
         found = np.quantile(_mesh(state, primitive).vertices @ R[:, 1], (0, 1))
         assert found == pytest.approx((aside.min(), aside.max()), abs=0.012)
 
@@ -217,7 +218,7 @@ def _off_points(state, viewpoint, depths_m):
 
 
 def test_a_surface_pays_for_each_point_that_it_hides():
-    state, config = wedge_state(), ModesConfig(steps=(0.01, 0.005), misfit_m=0.002, effective_points=70)
+    state, config = wedge_state(), RefineConfig(steps=(0.01, 0.005), misfit_m=0.002, effective_points=70)
     viewpoint = state.t + np.array([0.5, -0.4, 0.6])
     depths = np.repeat([0.0, -0.05, 0.008, 0.02], [10, 10, 10, 20])
     evidence = toy_evidence(_off_points(state, viewpoint, depths), viewpoint=viewpoint)
@@ -235,13 +236,21 @@ def test_a_surface_that_ends_at_the_edge_of_what_hides_it_pays(beyond, cost):
     across = np.cross(cut, UP)
     viewpoint = end * cut + 3 * across
     evidence = toy_evidence(vertices[:20], viewpoint=viewpoint, cut=cut)
-    assert race._ending_cost(state, primitive, evidence) == pytest.approx(cost, abs=0.6)
-    assert race._ending_cost(state, primitive, replace(evidence, cut=None)) == 0
+    assert truncation_cost(state, primitive, evidence) == pytest.approx(cost, abs=0.6)
+    assert truncation_cost(state, primitive, replace(evidence, cut=None)) == 0
 
 
-def test_hypotheses_pay_for_how_rare_they_are():
-    costs = [total_cost(wedge_state(cost=1.5, hypothesis=name)) for name in ("upright", "upside_down", "lying")]
-    assert costs == [1.5, 5.5, 7.5]
+def test_hypotheses_pay_by_the_priors_of_the_class_and_those_it_never_has_are_left_out():
+    truth = _wedge_standing(rotation_between((0, 0, 1), UP))
+    primitive = wedge_primitive()
+    evidence = _evidence_of(truth, primitive, truth.t + np.array([2.0, 0.3, 1.0]))
+    rests = {"upright": 0.5, "lying": 0.1}
+    primitive = replace(primitive, spec=replace(primitive.spec, rests=rests))
+    found = make_starts(primitive, evidence, ("upright", "upside_down", "lying"))
+    costs = {state.hypothesis: total_cost(replace(state, cost=1.5)) for state in found}
+    assert costs == pytest.approx({"upright": 1.5, "lying": 1.5 + np.log(5)}, abs=1e-5)
+    # Where nothing else is asked for, the class may be mistaken.
+    assert {state.hypothesis for state in make_starts(primitive, evidence, ("upside_down",))} == {"upside_down"}
 
 
 # ---- which starts go on
@@ -257,21 +266,21 @@ def test_leaders_are_no_place_twice_and_hold_the_best_of_every_hypothesis():
     lying = replace(base, cost=7.0, hypothesis="lying")
     states = [base, here, there, turned, flipped, worse, lying]
     for keep, costs in ((1, [1, 5, 7]), (2, [1, 3, 5, 7]), (3, [1, 3, 4, 5, 7]), (9, [1, 3, 4, 5, 6, 7])):
-        assert sorted(state.cost for state in race._leaders(states, keep)) == costs
+        assert sorted(state.cost for state in distinct_leaders(states, keep)) == costs
 
 
 def test_a_rival_goes_on_while_it_is_no_farther_behind_than_it_may_be():
-    races = [
-        Race(wedge_primitive(), odds, [wedge_state(cost=cost, hypothesis=name)])
-        for cost, odds, name in (
-            (9.0, 0.0, "upright"),
-            (2.0, 1.0, "upside_down"),
-            (7.0, 10.0, "upright"),
-            (11.0, 6.1, "upright"),
+    searches = [
+        Search(wedge_primitive(), odds, [wedge_state(cost=cost, rest_cost=rare)])
+        for cost, odds, rare in (
+            (9.0, 0.0, 0.0),
+            (2.0, 1.0, 4.0),
+            (7.0, 10.0, 0.0),
+            (11.0, 6.1, 0.0),
         )
     ]
-    assert [r.cost for r in races] == pytest.approx([9.0, 7.0, 17.0, 17.1])
-    assert race._hopeful(races, 10.0) == races[:3]
+    assert [r.cost for r in searches] == pytest.approx([9.0, 7.0, 17.0, 17.1])
+    assert within_margin(searches, 10.0) == searches[:3]
 
 
 def _half_seen_wedge():
@@ -298,7 +307,7 @@ def test_the_truth_is_found_among_the_starts_of_a_wedge():
 def test_the_better_of_two_rivals_is_chosen_whichever_comes_first(better):
     _, evidence = _half_seen_wedge()
     wedge, cup = wedge_primitive(), toy_cup_primitive()
-    config = replace(LIGHT, hypotheses=("upright",), rival_behind=1e9, rival_raced_behind=1e9)
+    config = replace(LIGHT, hypotheses=("upright",), rival_margin=1e9, rival_margin_quick=1e9)
     rivals = [(wedge, 0.0), (cup, 0.0)] if better == 0 else [(cup, 0.0), (wedge, 0.0)]
     assert fit_best(evidence, rivals, config=config).primitive is wedge
     # Odds decide between equals; the cost of the fit is that of the points and the class alone.
@@ -311,7 +320,7 @@ def test_the_better_of_two_rivals_is_chosen_whichever_comes_first(better):
 
 def test_the_margin_is_the_cost_of_the_best_other_hypothesis_over_the_best():
     _, evidence = _half_seen_wedge()
-    found = best_of(evidence, [(wedge_primitive(), 0.0)], LIGHT)
+    found = search_starts(evidence, [(wedge_primitive(), 0.0)], LIGHT)
     assert {state.hypothesis for state in found.states} == {"upright", "upside_down", "lying"}
     assert found.best.hypothesis == "upright"
     by_cost = sorted(found.states, key=total_cost)
@@ -327,14 +336,14 @@ def test_the_margin_is_the_cost_of_the_best_other_hypothesis_over_the_best():
 def test_starts_that_fall_behind_get_no_more_steps_but_are_kept(monkeypatch):
     _, evidence = _half_seen_wedge()
     counts = []
-    refine = race.refine
+    refine = pruning.refine
 
     def counting(states, primitive, evidence, config):
         counts.append((len(config.steps), len(states)))
         return refine(states, primitive, evidence, config)
 
-    monkeypatch.setattr(race, "refine", counting)
-    found = best_of(evidence, [(wedge_primitive(), 0.0)], replace(LIGHT, survivors=0.25, behind=0.0))
+    monkeypatch.setattr(pruning, "refine", counting)
+    found = search_starts(evidence, [(wedge_primitive(), 0.0)], replace(LIGHT, kept_share=0.25, prune_margin=0.0))
     # Two of the quick steps for 8 + 8 + 4 starts; the other two for a quarter of them, with one of each hypothesis.
     (head, tail, middle, thorough) = counts
     assert head == (2, 20)
@@ -345,9 +354,9 @@ def test_starts_that_fall_behind_get_no_more_steps_but_are_kept(monkeypatch):
     assert thorough == (2, 1)
     assert len(found.states) >= 3
     counts.clear()
-    everything = replace(LIGHT, survivors=1.0, behind=1e9, hypotheses=("upright",), keep=8)
-    monkeypatch.setattr(race, "_HOPELESS", 1e9)
-    best_of(evidence, [(wedge_primitive(), 0.0)], everything)
+    everything = replace(LIGHT, kept_share=1.0, prune_margin=1e9, hypotheses=("upright",), num_kept=8)
+    monkeypatch.setattr(pruning, "_ABANDON_MARGIN", 1e9)
+    search_starts(evidence, [(wedge_primitive(), 0.0)], everything)
     assert counts[0] == (2, 8)
     assert counts[2][1] == counts[3][1] > 1
 
@@ -390,11 +399,11 @@ def test_only_a_guessed_outline_is_taken_for_cut_off(monkeypatch):
         (99.0, replace(guessed, silhouette=None), []),
     ):
         calls.clear()
-        monkeypatch.setattr(fit_module, "free_space_cost", lambda *_, cost=cost: cost)
+        monkeypatch.setattr(fit_module, "evaluate_free_space", lambda *_, cost=cost: cost)
         fit_best(seen, [(wedge_primitive(), 0.0)], config=config)
         assert calls == expected
     costs = iter([9.0, 7.0])
-    monkeypatch.setattr(fit_module, "free_space_cost", lambda *_: next(costs))
+    monkeypatch.setattr(fit_module, "evaluate_free_space", lambda *_: next(costs))
     calls.clear()
     fit_best(guessed, [(wedge_primitive(), 0.0)], config=config)
     assert calls == [True]
@@ -409,8 +418,8 @@ def test_a_round_body_is_believed_by_the_share_of_the_class_that_is_round(monkey
     rounded = wedge_state(cost=round_cost - 2.0, residual_m=1.0)
     monkeypatch.setattr(fit_module, "refine", lambda *_: [rounded])
     monkeypatch.setattr(fit_module, "blocking_cost", lambda *_: 2.0)
-    monkeypatch.setattr(fit_module, "round_share", lambda *_: share)
-    found = fit_module._rounder(state, wedge_primitive(), evidence, FitConfig())
+    monkeypatch.setattr(fit_module, "circular_share", lambda *_: share)
+    found = fit_module.try_circular(state, wedge_primitive(), evidence, FitConfig())
     assert found.cost == pytest.approx(round_cost if is_round else 10.0)
 
 
@@ -427,7 +436,7 @@ def test_the_network_moves_starts_in_its_own_upright_unit_frame(monkeypatch):
         return torch.tensor(turn, dtype=torch.float32).repeat(size), torch.tensor(shift).float().repeat(size[:2])
 
     monkeypatch.setattr(pcrnet, "load_pcrnet", lambda: network)
-    states = starts(wedge_primitive(), evidence, ("upright",))[:2]
+    states = make_starts(wedge_primitive(), evidence, ("upright",))[:2]
     moved = pcrnet.correct_starts(states, wedge_primitive(), evidence)
     template, cloud = seen
     assert template.shape == cloud.shape == (2, 128, 3)
@@ -476,10 +485,10 @@ def test_poses_of_all_iterations_are_put_together():
 
 
 def test_samples_of_the_normals_are_those_of_the_moved_faces():
-    from gfp_grasp.register.posterior import _Surface, shape_model
+    from gfp_grasp.register.posterior import StateSurface, shape_model
     from gfp_grasp.register.state import StateBatch
 
     state, primitive = wedge_state(), wedge_primitive()
-    surface = _Surface(StateBatch.of([state], 3), shape_model(primitive, 60, 3))
+    surface = StateSurface(StateBatch.of([state], 3), shape_model(primitive, 60, 3))
     assert surface.world[0] == pytest.approx(positions(state, primitive))
     assert surface.normals[0] == pytest.approx(face_normals(state, primitive), abs=1e-9)

@@ -23,27 +23,28 @@ from toy_wedge import (
     wedge_state,
 )
 
-from gfp_grasp.register import ModesConfig
-from gfp_grasp.register.modes import free_space_cost, judge, refine
-from gfp_grasp.register.ovality import ovality_gram
-from gfp_grasp.register.posterior import costs, linearise, shape_model
+from gfp_grasp.register import RefineConfig
+from gfp_grasp.register.posterior import evaluate_costs, linearise, shape_model
+from gfp_grasp.register.refine import evaluate_free_space, evaluate_states, refine
 from gfp_grasp.register.state import StateBatch
+from gfp_grasp.register.terms import circular_share, ellipticity_gram, make_terms
 from gfp_grasp.transforms import rotation_about, rotation_between
+from gfp_grasp.types import INSIDE, OUTSIDE
 
 ROBUST_M = 0.004
 # The points weigh nothing, and neither do free space and floor: what remains are the priors.
-PRIORS = ModesConfig(effective_points=1e-15, free_space=False, support=False, num_samples=NUM_SAMPLES, scale_slack=1.7)
+PRIORS = RefineConfig(effective_points=1e-15, free_space=False, support=False, num_samples=NUM_SAMPLES, scale_slack=1.7)
 
 
 def _cost(state, evidence, config) -> float:
     primitive = wedge_primitive()
     model = shape_model(primitive, NUM_SAMPLES, NUM_MODES)
-    return float(costs(StateBatch.of([state], NUM_MODES), model, evidence, config, ROBUST_M)[0][0])
+    return float(evaluate_costs(StateBatch.of([state], NUM_MODES), model, make_terms(evidence, config), ROBUST_M)[0][0])
 
 
 def _normal_equations(state, evidence, config) -> tuple[np.ndarray, np.ndarray]:
     model = shape_model(wedge_primitive(), NUM_SAMPLES, NUM_MODES)
-    H, g = linearise(StateBatch.of([state], NUM_MODES), model, evidence, config, ROBUST_M)
+    H, g = linearise(StateBatch.of([state], NUM_MODES), model, make_terms(evidence, config), ROBUST_M)
     return H[0], g[0]
 
 
@@ -102,11 +103,11 @@ def test_the_residual_is_the_mean_distance_across_the_surface_of_the_nine_tenths
     state, evidence, index = _seen_points()
     gap = evidence.points - positions(state, wedge_primitive())[index]
     across = np.abs((gap * face_normals(state, wedge_primitive())[index]).sum(axis=1))
-    (judged,) = judge([state], wedge_primitive(), evidence, replace(POINTS, steps=(ROBUST_M,)))
+    (judged,) = evaluate_states([state], wedge_primitive(), evidence, replace(POINTS, steps=(ROBUST_M,)))
     assert judged.residual_m == pytest.approx(across[:-1].mean(), rel=1e-9)
     # A point whose normal no sample shares is as far off as its sample is, not as the sample's plane.
     turned = replace(evidence, normals=np.tile(evidence.normals[-1], (20, 1)))
-    (judged,) = judge([state], wedge_primitive(), turned, replace(POINTS, steps=(ROBUST_M,)))
+    (judged,) = evaluate_states([state], wedge_primitive(), turned, replace(POINTS, steps=(ROBUST_M,)))
     world = positions(state, wedge_primitive())
     assert (
         judged.residual_m >= np.sort(np.linalg.norm(world[:, None] - evidence.points, axis=2).min(axis=0))[:19].mean()
@@ -138,10 +139,10 @@ def test_a_point_belongs_to_the_side_of_a_thin_wall_that_its_normal_tells():
     # Known normals choose; with unknown signs the point lies on the side that is nearer all the same.
     for oriented in (True, False):
         evidence = toy_evidence(away, -normals[index] if not oriented else normals[index], oriented=oriented)
-        (judged,) = judge([state], primitive, evidence, replace(POINTS, steps=(ROBUST_M,)))
+        (judged,) = evaluate_states([state], primitive, evidence, replace(POINTS, steps=(ROBUST_M,)))
         assert judged.residual_m == pytest.approx(0.002, rel=1e-6)
     evidence = toy_evidence(away, -normals[index], oriented=True)
-    (judged,) = judge([state], primitive, evidence, replace(POINTS, steps=(ROBUST_M,)))
+    (judged,) = evaluate_states([state], primitive, evidence, replace(POINTS, steps=(ROBUST_M,)))
     assert judged.residual_m > 0.005
 
 
@@ -151,7 +152,7 @@ def test_points_belong_to_the_surface_that_faces_the_viewpoint():
     toward = TOWARD
     back = np.flatnonzero(normals @ toward < -0.3)[:20]
     seen_from = [
-        judge(
+        evaluate_states(
             [state],
             primitive,
             toy_evidence(world[back], normals[back], viewpoint=state.t + sign * 3 * toward),
@@ -225,7 +226,7 @@ def test_free_space_draws_a_surface_back_into_the_outline(certain, sigma_m, limi
     cost, H, g = _term(state, evidence, SEEN_EMPTY, replace(SEEN_EMPTY, free_space=False))
     assert cost == pytest.approx(expected, rel=1e-9)
     config = replace(SEEN_EMPTY, steps=(ROBUST_M,))
-    assert free_space_cost(state, wedge_primitive(), evidence, config) == pytest.approx(expected, rel=1e-9)
+    assert evaluate_free_space(state, wedge_primitive(), evidence, config) == pytest.approx(expected, rel=1e-9)
     J, direction, weight = _jacobian(state)[index], back / length[:, None], share * robust**2
     along = np.einsum("nip,ni->np", J, direction)
     assert g == pytest.approx(along.T @ (weight * length), rel=1e-5, abs=1e-5 * np.abs(g).max())
@@ -236,7 +237,7 @@ def test_two_states_each_pay_for_their_own_free_space():
     state, _, _, evidence = _picture(certain=True)
     moved = perturbed(state, np.concatenate([np.zeros(3), [0.02, 0.01, -0.01], np.zeros(3 + NUM_MODES)]))
     model = shape_model(wedge_primitive(), NUM_SAMPLES, NUM_MODES)
-    H, g = linearise(StateBatch.of([state, moved], NUM_MODES), model, evidence, SEEN_EMPTY, ROBUST_M)
+    H, g = linearise(StateBatch.of([state, moved], NUM_MODES), model, make_terms(evidence, SEEN_EMPTY), ROBUST_M)
     for i, alone in enumerate((state, moved)):
         H_alone, g_alone = _normal_equations(alone, evidence, SEEN_EMPTY)
         assert np.allclose(H[i], H_alone, rtol=1e-9)
@@ -254,7 +255,7 @@ def test_a_point_just_before_a_return_may_be_noise(in_front_m, out):
     silhouette = corner_silhouette(np.eye(4), corner=(60, 66), free_depth_m=0.8)
     z = 0.8 - in_front_m
     point = np.array([[(100 - 70.3) * z / 150.0, 0.0, z]])
-    index, back = silhouette.trespass(point)
+    index, back = silhouette.free_space_violation(point)
     assert (len(index) == 1) == out
     if out:
         assert back[0] == pytest.approx([(66 - 100) * z / 150.0, 0.0, 0.0])
@@ -262,9 +263,9 @@ def test_a_point_just_before_a_return_may_be_noise(in_front_m, out):
 
 def test_what_is_beside_the_picture_or_in_the_outline_is_free_of_blame():
     silhouette = corner_silhouette(np.eye(4), corner=(60, 66))
-    pixels = np.array([[-1, 3], [160, 3], [3, -1], [3, 120], [66, 60], [159, 119], [67, 60], [66, 61], [0, 0]])
+    pixels = np.array([[-1, 3], [160, 90], [3, -1], [3, 120], [66, 60], [159, 119], [67, 60], [66, 61], [0, 0]])
     points = np.column_stack([(pixels[:, 0] - 70.3) / 150.0, (pixels[:, 1] - 55.6) / 190.0, np.ones(len(pixels))])
-    assert silhouette.trespass(points)[0].tolist() == [5, 6, 7]
+    assert silhouette.free_space_violation(points)[0].tolist() == [5, 6, 7]
 
 
 # ---- the floor
@@ -338,7 +339,7 @@ def test_scale_and_modes_pay_by_the_class():
 
 def test_ellipticity_is_the_mean_square_of_the_second_harmonic_over_the_height():
     primitive, radius = _tube(), 0.04
-    gram = ovality_gram(primitive)
+    gram = ellipticity_gram(primitive)
 
     def square_m(scale, coefficients) -> float:
         u = (np.asarray(scale)[:, None] * np.insert(coefficients, 0, 1.0)[None]).ravel()
@@ -348,8 +349,23 @@ def test_ellipticity_is_the_mean_square_of_the_second_harmonic_over_the_height()
     assert square_m((1.3, 0.9, 2), np.zeros(3)) == pytest.approx((0.2 * radius) ** 2, rel=1e-6)
     assert square_m((1, 1, 1), np.array([2.0, 0, 0])) == pytest.approx((2 * 0.001) ** 2, rel=1e-6)
     assert square_m((1, 1, 1), np.array([2.0, 1.0, 0])) == pytest.approx((2 * 0.001) ** 2 + 0.002**2, rel=1e-6)
-    # The third mode is oval at the upper half alone.
-    assert square_m((1, 1, 1), np.array([0, 0, 1.0])) == pytest.approx(0.5 * 0.003**2, rel=1e-6)
+    # The third mode is elliptic in the topmost of eight bands alone, and inside the tube, which does not count.
+    assert square_m((1, 1, 1), np.array([0, 0, 1.0])) == pytest.approx(0.003**2 / 8, rel=1e-6)
+
+
+def test_the_share_of_circular_members_is_counted_and_never_certain():
+    primitive, radius = _tube(), 0.04
+    samples = np.zeros((20, 6))
+    samples[:, 0] = np.arange(20)  # millimetres, in the first mode
+    samples[10:, 5] = 0.3  # higher, which does not count
+    primitive = replace(primitive, coefficient_samples=samples)
+    assert circular_share(primitive, 0.0065) == pytest.approx(7 / 20)
+    assert circular_share(primitive, 1e-9) == 0.05
+    assert circular_share(primitive, 1.0) == 0.95
+    stretched = replace(primitive, coefficient_samples=samples * 0 + np.array([0, 0, 0, 0.1, -0.1, 0]))
+    amplitude = radius * np.sinh(0.1)
+    assert circular_share(stretched, 0.99 * amplitude) == 0.05
+    assert circular_share(stretched, 1.01 * amplitude) == 0.95
 
 
 def test_a_body_that_should_be_round_pays_for_its_ellipticity():
@@ -357,17 +373,19 @@ def test_a_body_that_should_be_round_pays_for_its_ellipticity():
     model = shape_model(primitive, NUM_SAMPLES, 3)
     evidence = toy_evidence(np.zeros((20, 3)))
     state = wedge_state(log_scale=np.array([0.1, -0.05, 0.2]), coefficients=np.array([0.4, 1.2, -0.6]))
-    batch, on = StateBatch.of([state], 3), replace(PRIORS, oval_m=0.002)
+    batch, on = StateBatch.of([state], 3), replace(PRIORS, ellipticity_m=0.002)
 
     def cost(changed, config):
-        return float(costs(StateBatch.of([changed], 3), model, evidence, config, ROBUST_M)[0][0])
+        return float(evaluate_costs(StateBatch.of([changed], 3), model, make_terms(evidence, config), ROBUST_M)[0][0])
 
     u = (np.exp(state.log_scale)[:, None] * np.insert(state.coefficients, 0, 1.0)[None]).ravel()
-    expected = 0.5 * u @ ovality_gram(primitive) @ u / 0.002**2
+    expected = 0.5 * u @ ellipticity_gram(primitive) @ u / 0.002**2
     assert cost(state, on) - cost(state, PRIORS) == pytest.approx(expected, rel=1e-9)
     H, g = (
         a[0] - b[0]
-        for a, b in zip(*(linearise(batch, model, evidence, c, ROBUST_M) for c in (on, PRIORS)), strict=True)
+        for a, b in zip(
+            *(linearise(batch, model, make_terms(evidence, c), ROBUST_M) for c in (on, PRIORS)), strict=True
+        )
     )
     slope = derivative(lambda changed: cost(changed, on) - cost(changed, PRIORS), state, size=1e-5)
     assert g == pytest.approx(-slope, rel=1e-5, abs=1e-5 * np.abs(slope).max())
@@ -376,20 +394,24 @@ def test_a_body_that_should_be_round_pays_for_its_ellipticity():
         return (np.exp(changed.log_scale)[:, None] * np.insert(changed.coefficients, 0, 1.0)[None]).ravel()
 
     U = derivative(u_of, state)
-    assert pytest.approx(U.T @ ovality_gram(primitive) @ U / 0.002**2, rel=1e-5, abs=1e-4) == H
+    assert pytest.approx(U.T @ ellipticity_gram(primitive) @ U / 0.002**2, rel=1e-5, abs=1e-4) == H
 
 
 def _tube():
-    """A round tube of 4 cm radius: modes that are oval along x, along the diagonal, and along x in its upper half."""
-    angle, height = (a.ravel() for a in np.meshgrid(np.arange(48) / 48 * 2 * np.pi, np.linspace(0, 0.1, 32)))
+    """A round tube of 4 cm radius: modes that are elliptic along x, along the diagonal, and along x at its top alone.
+
+    Its lowest 8 of 40 rings count as inside.
+    """
+    angle, height = (a.ravel() for a in np.meshgrid(np.arange(48) / 48 * 2 * np.pi, np.linspace(0, 0.1, 40)))
+    ring = np.arange(40 * 48) // 48
     out = np.column_stack([np.cos(angle), np.sin(angle), np.zeros(len(angle))])
-    lower, side = np.arange(31 * 48), np.arange(31 * 48) // 48 * 48 + (np.arange(31 * 48) + 1) % 48
+    lower, side = np.arange(39 * 48), np.arange(39 * 48) // 48 * 48 + (np.arange(39 * 48) + 1) % 48
     faces = np.concatenate([np.column_stack([lower, side, lower + 48]), np.column_stack([side, side + 48, lower + 48])])
     modes = np.stack(
         [
             0.001 * np.cos(2 * angle)[:, None] * out,
             0.002 * np.sin(2 * angle)[:, None] * out,
-            0.003 * (np.cos(2 * angle) * (height > 0.05))[:, None] * out,
+            0.003 * (np.cos(2 * angle) * ((ring >= 36) | (ring < 8)))[:, None] * out,
         ]
     )
     return replace(
@@ -397,7 +419,7 @@ def _tube():
         vertices=0.04 * out + height[:, None] * (0, 0, 1),
         faces=faces,
         modes=modes,
-        regions=np.zeros(len(angle), dtype=np.uint8),
+        regions=np.where(ring < 8, INSIDE, OUTSIDE).astype(np.uint8),
     )
 
 

@@ -26,7 +26,7 @@ from gfp_grasp.detect import detect_single
 from gfp_grasp.envs import GfpGraspEnv
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.primitives import load_primitive
-from gfp_grasp.register import FitConfig, fit_evidence, gather_evidence, icp_config, pcrnet_config
+from gfp_grasp.register import FitConfig, fit_best, gather_evidence, icp_config, pcrnet_config
 from gfp_grasp.scenes import label_of, load_objects
 from gfp_grasp.types import PointCloud
 
@@ -160,9 +160,9 @@ def _registrations(clouds: list[tuple[str, PointCloud]]) -> dict[str, float]:
     configs: dict[str, FitConfig] = {"icp": icp_config(), "pcrnet": pcrnet_config(), "registration": FitConfig()}
     answer = {}
     for name, config in configs.items():
-        fit_evidence(found[0][1], found[0][0], config=config)
+        fit_best(found[0][1], [(found[0][0], 0.0)], config=config)
         answer[name] = _ms(
-            np.median([_seconds(lambda p=p, e=e, c=config: fit_evidence(e, p, config=c)) for p, e in found])
+            np.median([_seconds(lambda p=p, e=e, c=config: fit_best(e, [(p, 0.0)], config=c)) for p, e in found])
         )
     return answer
 

@@ -27,7 +27,7 @@ from gfp_grasp.assets import data_file
 from gfp_grasp.deform.layout import patch_unit_m
 from gfp_grasp.deform.patches import MISFIT_SHARE, NUM_POSE_FEATURES, NUM_RESIDUALS
 from gfp_grasp.errors import InvalidOption
-from gfp_grasp.register.pcrnet import mlp
+from gfp_grasp.register import mlp
 from gfp_grasp.types import FittedPrimitive, GenericPrimitive
 
 MODES = 24  # of a primitive that the network knows

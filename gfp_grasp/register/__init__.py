@@ -1,21 +1,38 @@
 """Registration of a primitive onto one view: starts, then pose, scale and modes by robust least squares."""
 
-from gfp_grasp.register.config import FitConfig
-from gfp_grasp.register.evaluate import part_is_seen
+from importlib import import_module
+from typing import TYPE_CHECKING
+
+from gfp_grasp.register.config import FitConfig, RefineConfig, icp_config, pcrnet_config
 from gfp_grasp.register.evidence import Evidence, gather_evidence
-from gfp_grasp.register.fit import fit_best, fit_evidence, fit_primitive
-from gfp_grasp.register.icp import icp_config, pcrnet_config
-from gfp_grasp.register.state import ModesConfig
+from gfp_grasp.register.fit import fit_best, fit_primitive
+from gfp_grasp.register.parts import part_is_seen
+from gfp_grasp.register.starts import make_starts
+from gfp_grasp.register.state import PoseShape
+
+if TYPE_CHECKING:
+    from gfp_grasp.register.pcrnet import PCRNet, mlp, network_input, rotation_of
 
 __all__ = [
     "Evidence",
     "FitConfig",
-    "ModesConfig",
+    "PCRNet",
+    "PoseShape",
+    "RefineConfig",
     "fit_best",
-    "fit_evidence",
     "fit_primitive",
     "gather_evidence",
     "icp_config",
+    "make_starts",
+    "mlp",
+    "network_input",
     "part_is_seen",
     "pcrnet_config",
+    "rotation_of",
 ]
+
+
+def __getattr__(name: str) -> object:
+    if name in ("PCRNet", "mlp", "network_input", "rotation_of"):  # these bring torch
+        return getattr(import_module("gfp_grasp.register.pcrnet"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,16 +1,66 @@
-"""How a primitive is registered."""
+"""How a primitive is registered, and how the refinement weighs its evidence."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from gfp_grasp.errors import InvalidOption
-from gfp_grasp.register.state import ModesConfig
 
-_QUICK = ModesConfig(steps=(0.02, 0.015, 0.01, 0.008, 0.006), num_points=100, num_samples=400, num_modes=5)
-_MIDDLE = ModesConfig(steps=(0.015, 0.01, 0.007, 0.005, 0.004), num_points=250, num_samples=1000)
-_THOROUGH = ModesConfig(steps=(0.004, 0.003, 0.003))
+
+@dataclass(frozen=True)
+class RefineConfig:
+    """How the refinement weighs its evidence.
+
+    Attributes:
+        steps: Robust scales, m, one for each Gauss-Newton step, from coarse to fine.
+        effective_points: Number of independent points that a view is worth against the prior.
+        misfit_m: Standard deviation of what the modes cannot express.
+        tangential: Weight of a point's distance along the surface, relative to its distance across the surface.
+        silhouette_m: Standard deviation of a free-space violation, for a real view and for a guessed silhouette.
+        scale_slack: Factor on the class's standard deviation of the logarithm of scale.
+        estimate_scale: Fit scale with the pose.
+        estimate_modes: Fit the shape modes with the pose.
+        free_space: Use the view's free space.
+        support: Have the lowest point touch the support.
+        ellipticity_m: Standard deviation of the ellipticity of the body (see `ellipticity_gram`); None leaves the
+            ellipticity to the modes.
+        num_points: Largest number of points of the evidence that are used.
+        num_samples: Number of samples of the primitive's surface.
+        num_modes: Largest number of modes that are fitted; the others stay at the mean.
+    """
+
+    steps: tuple[float, ...] = (0.01, 0.007, 0.005, 0.004, 0.004, 0.003, 0.003, 0.003)
+    effective_points: float = 150.0
+    misfit_m: float = 0.001
+    tangential: float = 0.05
+    silhouette_m: tuple[float, float] = (0.002, 0.004)
+    scale_slack: float = 1.5
+    estimate_scale: bool = True
+    estimate_modes: bool = True
+    free_space: bool = True
+    support: bool = True
+    ellipticity_m: float | None = None
+    num_points: int = 400
+    num_samples: int = 1500
+    num_modes: int = 24
+
+    def __post_init__(self) -> None:
+        if not self.steps or min(self.steps) <= 0:
+            raise InvalidOption(f"steps is {self.steps}; one positive robust scale in metres for each step is expected")
+        if min(self.effective_points, self.misfit_m, *self.silhouette_m, self.scale_slack) <= 0:
+            raise InvalidOption("effective_points, misfit_m, silhouette_m and scale_slack must be positive")
+        if self.ellipticity_m is not None and self.ellipticity_m <= 0:
+            raise InvalidOption(f"ellipticity_m is {self.ellipticity_m}; a positive length or None is expected")
+        if min(self.num_points, self.num_samples) < 20:
+            raise InvalidOption(f"{self.num_points} points and {self.num_samples} samples: at least 20 are needed")
+        if self.num_modes < 1:
+            raise InvalidOption(f"num_modes is {self.num_modes}; at least 1 is expected")
+
+
+_QUICK = RefineConfig(steps=(0.02, 0.015, 0.01, 0.008, 0.006), num_points=100, num_samples=400, num_modes=5)
+_MIDDLE = RefineConfig(steps=(0.015, 0.01, 0.007, 0.005, 0.004), num_points=250, num_samples=1000)
+_THOROUGH = RefineConfig(steps=(0.004, 0.003, 0.003))
 
 HYPOTHESES = ("upright", "upside_down", "lying")
 
@@ -21,31 +71,31 @@ class FitConfig:
 
     Attributes:
         start: "pcrnet" corrects every start by the network, "box" leaves it as the box of the points gives it.
-        hypotheses: How the object may rest on the support.
+        hypotheses: The ways in which the object may rest on the support.
         quick: Refinement of every start.
-        middle: Refinement of the best few.
-        thorough: Refinement of those of them that are still near the best after that.
-        survivors: Share of the starts that outlive the first two quick steps.
-        keep: Starts of which there is a middle refinement.
-        behind: A start whose cost is larger than the best's by this after that is given up.
-        rival_behind: A primitive whose best start is behind another's by this after the first steps is given up.
-        rival_raced_behind: The same after the quick steps.
+        middle: Refinement of the best few starts.
+        thorough: Refinement of those that are still near the best after the middle one.
+        kept_share: Share of the starts that outlive the first two quick steps.
+        num_kept: Number of starts that get the middle refinement.
+        prune_margin: After the middle refinement, a start whose cost exceeds the best by more than this is pruned.
+        rival_margin: After the first steps, a primitive whose best start exceeds another's by more than this is pruned.
+        rival_margin_quick: The same margin after the quick steps.
         roundness: Ask whether the body is as deep as it is wide.
-        size: (3,) scale of every start along the primitive's axes, ones for its own; None leaves it to the points.
-        refine: Refine the starts; False takes the best of them as it is.
+        size: (3,) scale of every start along the primitive's axes, ones for its own; None estimates it from the points.
+        refine: Refine the starts; False takes the best start as it is.
         max_residual_m: A fit whose trimmed residual is larger has diverged.
     """
 
     start: Literal["pcrnet", "box"] = "box"
     hypotheses: tuple[str, ...] = HYPOTHESES
-    quick: ModesConfig = _QUICK
-    middle: ModesConfig = _MIDDLE
-    thorough: ModesConfig = _THOROUGH
-    survivors: float = 0.4
-    keep: int = 3
-    behind: float = 15.0
-    rival_behind: float = 50.0
-    rival_raced_behind: float = 25.0
+    quick: RefineConfig = _QUICK
+    middle: RefineConfig = _MIDDLE
+    thorough: RefineConfig = _THOROUGH
+    kept_share: float = 0.4
+    num_kept: int = 3
+    prune_margin: float = 15.0
+    rival_margin: float = 50.0
+    rival_margin_quick: float = 25.0
     roundness: bool = True
     size: tuple[float, float, float] | None = None
     refine: bool = True
@@ -57,14 +107,41 @@ class FitConfig:
         unknown = set(self.hypotheses) - set(HYPOTHESES)
         if unknown or not self.hypotheses:
             raise InvalidOption(f"hypotheses are {self.hypotheses}; some of {HYPOTHESES} are expected")
-        if not 0 < self.survivors <= 1:
-            raise InvalidOption(f"survivors is {self.survivors}; a share in (0, 1] is expected")
+        if not 0 < self.kept_share <= 1:
+            raise InvalidOption(f"kept_share is {self.kept_share}; a share in (0, 1] is expected")
         if self.size is not None and not (len(self.size) == 3 and min(self.size) > 0):
             raise InvalidOption(f"size is {self.size}; three positive factors are expected")
-        if min(self.behind, self.rival_behind, self.rival_raced_behind) < 0:
+        if min(self.prune_margin, self.rival_margin, self.rival_margin_quick) < 0:
             raise InvalidOption(
-                f"behind is {self.behind}, rival_behind {self.rival_behind} and rival_raced_behind "
-                f"{self.rival_raced_behind}; costs from 0 on are expected"
+                f"prune_margin is {self.prune_margin}, rival_margin {self.rival_margin} and rival_margin_quick "
+                f"{self.rival_margin_quick}; costs from 0 on are expected"
             )
-        if self.keep < 1:
-            raise InvalidOption(f"keep is {self.keep}; at least one start must be refined")
+        if self.num_kept < 1:
+            raise InvalidOption(f"num_kept is {self.num_kept}; at least one start must be refined")
+
+
+_RIGID = RefineConfig(estimate_scale=False, estimate_modes=False, free_space=False)
+
+
+def icp_config(*, size: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> FitConfig:
+    """Rigid point-to-plane ICP of the mean primitive, from the starts of the default fit.
+
+    Args:
+        size: (3,) scale of the primitive along its axes; ones are its own size.
+    """
+    config = FitConfig(roundness=False, size=size, num_kept=1)
+    return replace(
+        config,
+        quick=replace(_RIGID, steps=config.quick.steps),
+        middle=replace(_RIGID, steps=config.middle.steps),
+        thorough=replace(_RIGID, steps=config.thorough.steps),
+    )
+
+
+def pcrnet_config(*, size: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> FitConfig:
+    """PCRNet's five iterations on the mean primitive and nothing after them (GFPNet sec. III-A).
+
+    Args:
+        size: (3,) scale of the primitive along its axes; ones are its own size.
+    """
+    return FitConfig(start="pcrnet", roundness=False, size=size, refine=False, thorough=_RIGID)

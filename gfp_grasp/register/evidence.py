@@ -23,13 +23,13 @@ _FREE_MARGIN_M = 0.006
 
 @dataclass(frozen=True, eq=False)
 class Silhouette:
-    """Where the object was seen in a picture, and where it cannot be.
+    """The object's pixels in a picture, and the space that the picture saw to be empty.
 
     Attributes:
         K: (3, 3) px.
         T_camera_world: (4, 4).
-        depth_m: (h, w) m, infinity where the picture says nothing about what is nearer.
-        certain: The picture is a real view: pixels outside of the mask saw something farther.
+        free_depth_m: (h, w) m, depth up to which each pixel was seen to be empty; 0 where nothing is known.
+        certain: Whether the picture is a real view; else it is guessed from the points of the cloud.
         offset_px: (2, h, w) px (row, column) from each pixel to the nearest pixel of the mask.
     """
 
@@ -46,14 +46,14 @@ class Silhouette:
         z = np.maximum(z, 1e-6)
         return column / z, row / z, z
 
-    def trespass(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Points that lie where the view says there is nothing, and the way back.
+    def free_space_violation(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Points that lie in space that was seen empty, and the way back.
 
         Args:
             points: (n, 3) m, world.
 
         Returns:
-            Index (t,) of the trespassing points and the displacement (t, 3) m, world, that brings each onto the ray
+            Index (t,) of these points and the displacement (t, 3) m, world, that brings each onto the ray
             of the nearest pixel of the object at the same depth.
         """
         column, row, z = self.pixels(points)
@@ -72,7 +72,7 @@ class Silhouette:
 
 @dataclass(frozen=True, eq=False)
 class Evidence:
-    """One object's observation, thinned.
+    """What was seen of one object, thinned.
 
     Attributes:
         points: (n, 3) m, spread evenly over what was seen.

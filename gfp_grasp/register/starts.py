@@ -1,4 +1,4 @@
-"""Where the fit starts: how the object may rest on its support, and how it may be turned."""
+"""Starts of the fit: how the object may rest on its support, and how it may be turned."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from gfp_grasp.types import GenericPrimitive
 
 _STANDING_SIGMA_RAD = np.deg2rad(1.0)
 _LYING_SIGMA_RAD = np.deg2rad(15.0)
-_HANDLE_YAWS = 8
-_CUT = 0.5  # cosine from which on a side counts as the one that is cut off
+_YAWS = 8  # of a body without symmetry
+_CUT = 0.5  # cosine from which on a side counts as cut off
 
 
-def starts(primitive: GenericPrimitive, evidence: Evidence, hypotheses: tuple[str, ...]) -> list[PoseShape]:
+def make_starts(primitive: GenericPrimitive, evidence: Evidence, hypotheses: tuple[str, ...]) -> list[PoseShape]:
     """Starts for each hypothesis, from the box of the points and the direction they were seen from.
 
     The hidden side is placed by the seen width: an object is about as deep as it is wide. A way of resting that the
@@ -27,7 +27,7 @@ def starts(primitive: GenericPrimitive, evidence: Evidence, hypotheses: tuple[st
     found = []
     for hypothesis in [way for way in hypotheses if way in primitive.spec.rests] or hypotheses:
         if hypothesis == "lying":
-            found += [_lying(primitive, evidence, log) for log in _logs(evidence)]
+            found += [_lying(primitive, evidence, box) for box in _lying_boxes(evidence)]
             continue
         box, toward = _box_along(evidence, hypothesis), _toward_viewer(evidence)
         for yaw in _yaws(primitive):
@@ -37,15 +37,15 @@ def starts(primitive: GenericPrimitive, evidence: Evidence, hypotheses: tuple[st
 
 @dataclass(frozen=True, eq=False)
 class _Box:
-    """What is seen of the points in the frame of one axis.
+    """Extent of the points in the frame of one axis.
 
     Attributes:
         axis: (3,) unit.
         across: (3,) unit, across the axis and the line of sight: the side that is seen whole.
         deep: (3,) unit, across both, towards the viewer.
-        height: Ends along the axis, m.
-        width: Ends across, m.
-        near: Nearest end of the depth, m.
+        height: Lower and upper end along the axis, m.
+        width: Both ends along across, m.
+        near: The end along deep that is nearest to the viewer, m.
     """
 
     axis: np.ndarray
@@ -57,15 +57,15 @@ class _Box:
 
 
 @dataclass(frozen=True, eq=False)
-class _Log:
-    """What is seen of the points in the frame of a horizontal axis.
+class _LyingBox:
+    """Extent of the points in the frame of a horizontal axis.
 
     Attributes:
         axis: (3,) unit.
         flat: (3,) unit, horizontal, across the axis.
-        length: Ends along the axis, m.
-        top: Highest of the points, m.
-        middle: Of the points along flat, m.
+        length: Both ends along the axis, m.
+        top: Height of the highest points, m.
+        middle: Median of the points along flat, m.
     """
 
     axis: np.ndarray
@@ -94,29 +94,29 @@ def _box_along(evidence: Evidence, hypothesis: str) -> _Box:
 
 
 @lru_cache(maxsize=8)
-def _logs(evidence: Evidence) -> tuple[_Log, ...]:
+def _lying_boxes(evidence: Evidence) -> tuple[_LyingBox, ...]:
     found = []
     for axis in _long_axes(evidence):
         flat = np.cross(evidence.up, axis)
         flat /= np.linalg.norm(flat)
         along, height, aside = (evidence.points @ np.column_stack([axis, evidence.up, flat])).T
         low, high = (float(a) for a in np.quantile(along, (0.005, 0.995)))
-        found.append(_Log(axis, flat, (low, high), float(np.quantile(height, 0.99)), float(np.median(aside))))
+        found.append(_LyingBox(axis, flat, (low, high), float(np.quantile(height, 0.99)), float(np.median(aside))))
     return tuple(found)
 
 
 def _standing(
     primitive: GenericPrimitive, evidence: Evidence, hypothesis: str, box: _Box, facing: np.ndarray
 ) -> PoseShape:
-    """A start that stands on either end and whose x is as near facing as it can be.
+    """A start that stands on either end and whose x is as near to facing as it can be.
 
-    The primitive, with its handle where this start has it, fills the side that is seen whole.
+    The primitive, turned as this start has it, fills the side that is seen whole.
     """
     R = _frame(box.axis, facing)
     along, aside, depth = (primitive.vertices @ (R.T @ np.column_stack([box.axis, box.across, box.deep]))).T
     (low, high), (left, right) = box.height, box.width
     if evidence.cut is not None:
-        (low, high), (left, right) = _as_it_goes_on(
+        (low, high), (left, right) = _complete_ends(
             box.height, float(np.ptp(along)), _cosine_in_picture(evidence, box.axis),
             box.width, float(np.ptp(aside)), _cosine_in_picture(evidence, box.across),
         )  # fmt: skip
@@ -130,23 +130,23 @@ def _standing(
     return _state(primitive, R, centre, wide, long, _STANDING_SIGMA_RAD, hypothesis)
 
 
-def _lying(primitive: GenericPrimitive, evidence: Evidence, log: _Log) -> PoseShape:
-    """A start that lies along an axis: as high as it is thick, its middle half of that above the support."""
-    R = _frame(log.axis, evidence.up)
-    along, height = (primitive.vertices @ (R.T @ np.column_stack([log.axis, evidence.up]))).T
-    low, high = log.length
+def _lying(primitive: GenericPrimitive, evidence: Evidence, box: _LyingBox) -> PoseShape:
+    """A start that lies along an axis, on the support, and is as high as the points."""
+    R = _frame(box.axis, evidence.up)
+    along, height = (primitive.vertices @ (R.T @ np.column_stack([box.axis, evidence.up]))).T
+    low, high = box.length
     long = max(high - low, 1e-3) / float(np.ptp(along))
-    wide = max(log.top - evidence.floor_m, 1e-3) / float(np.ptp(height))
+    wide = max(box.top - evidence.floor_m, 1e-3) / float(np.ptp(height))
     centre = (
         evidence.up * (evidence.floor_m - wide * float(height.min()))
-        + log.flat * log.middle
-        + log.axis * (low - long * float(along.min()))
+        + box.flat * box.middle
+        + box.axis * (low - long * float(along.min()))
     )
     return _state(primitive, R, centre, wide, long, _LYING_SIGMA_RAD, "lying")
 
 
 def _frame(axis: np.ndarray, facing: np.ndarray) -> np.ndarray:
-    """Rotation (3, 3) whose z is axis and whose x is as near facing as it can be."""
+    """Rotation (3, 3) whose z is axis and whose x is as near to facing as it can be."""
     x = facing - (facing @ axis) * axis
     x /= np.linalg.norm(x)
     return np.column_stack([x, np.cross(axis, x), axis])
@@ -175,7 +175,7 @@ def _state(
 
 
 def _cosine_in_picture(evidence: Evidence, direction: np.ndarray) -> float:
-    """Of a direction, as it is seen, with that in which the object is cut off."""
+    """Cosine between a direction, as it is seen, and the direction in which the object is cut off."""
     assert evidence.cut is not None
     assert evidence.viewpoint is not None
     sight = evidence.viewpoint - evidence.points.mean(axis=0)
@@ -184,7 +184,7 @@ def _cosine_in_picture(evidence: Evidence, direction: np.ndarray) -> float:
     return float(evidence.cut @ seen / (np.linalg.norm(seen) + 1e-9))
 
 
-def _as_it_goes_on(
+def _complete_ends(
     height: tuple[float, float],
     own_height: float,
     cut_up: float,
@@ -192,9 +192,9 @@ def _as_it_goes_on(
     own_width: float,
     cut_across: float,
 ) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Ends along and across the axis, those that are cut off moved to where the primitive's proportions have them.
+    """Ends along and across the axis; an end that is cut off is moved to where the primitive's proportions put it.
 
-    Where both are, the primitive's own size is all that is known.
+    Where both directions are cut off, nothing but the primitive's own size is known.
     """
     scale_by_width = (width[1] - width[0]) / own_width if abs(cut_across) < _CUT else 1.0
     scale_by_height = (height[1] - height[0]) / own_height if abs(cut_up) < _CUT else 1.0
@@ -224,7 +224,7 @@ def _toward_viewer(evidence: Evidence) -> np.ndarray:
 
 
 def _long_axes(evidence: Evidence) -> list[np.ndarray]:
-    """Horizontal directions that a lying object's axis may have: along the points and across them, both ways."""
+    """Horizontal directions that the axis of a lying object may have: along the points and across them, both ways."""
     basis = rotation_between((0, 0, 1), evidence.up)[:, :2]
     flat = (evidence.points - evidence.points.mean(axis=0)) @ basis
     _, vectors = np.linalg.eigh(flat.T @ flat)
@@ -235,7 +235,7 @@ def _long_axes(evidence: Evidence) -> list[np.ndarray]:
 def _yaws(primitive: GenericPrimitive) -> np.ndarray:
     order = primitive.symmetry.order
     if np.isinf(order):
-        return np.array([0.0, np.pi / 4])  # an oval member of a round class is turned by one of these, nearly
+        return np.array([0.0, np.pi / 4])  # one of them nearly turns an elliptic member of a round class
     if order > 1:
         return np.arange(3) / 3 * 2 * np.pi / order
-    return np.arange(_HANDLE_YAWS) / _HANDLE_YAWS * 2 * np.pi
+    return np.arange(_YAWS) / _YAWS * 2 * np.pi

@@ -16,10 +16,7 @@ from torch import Tensor, nn
 from gfp_grasp.assets import data_dir
 from gfp_grasp.observation import canonical_frame
 from gfp_grasp.primitives import load_primitive
-from gfp_grasp.register.evidence import gather_evidence
-from gfp_grasp.register.pcrnet import PCRNet, network_input, rotation_of
-from gfp_grasp.register.starts import starts
-from gfp_grasp.register.state import PoseShape
+from gfp_grasp.register import PCRNet, PoseShape, gather_evidence, make_starts, network_input, rotation_of
 from gfp_grasp.shapes import FAMILIES
 from gfp_grasp.train.loop import Batch, LoopConfig, shuffled, train, write_weights
 from gfp_grasp.train.views import cached_views
@@ -104,7 +101,9 @@ def _samples(
             detection, T_world_here = canonical_frame(view.detection())
             T_here_object = invert_T(T_world_here) @ view.T_world_object
             evidence = gather_evidence(detection)
-            near = [s for s in starts(primitive, evidence, (view.resting,)) if _is_near(s, T_here_object, primitive)]
+            near = [
+                s for s in make_starts(primitive, evidence, (view.resting,)) if _is_near(s, T_here_object, primitive)
+            ]
             for _ in range(copies if near else 0):
                 state = _jittered(near[int(rng.integers(len(near)))], rng)
                 template, cloud, centre, radius = network_input(state, primitive, evidence.points)

@@ -1,4 +1,4 @@
-"""Questions to a finished fit."""
+"""Whether the points show an optional part of a fitted primitive, as a handle is one."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from gfp_grasp.types import FittedPrimitive
 
 # A part is believed when this many of the thinned points lie on it and stand off the rest by more than noise.
 _PART_POINTS = 6
-_OFF_BODY_M = 0.005
+_OFF_REST_M = 0.005
 _ON_PART_M = 0.008
 
 
 def part_is_seen(fit: FittedPrimitive, part: str, evidence: Evidence) -> bool:
-    """Whether points support an optional part of the fit: they are near it, and away from the rest."""
+    """Whether points support an optional part of the fit: they lie near it, and away from the rest of the body."""
     samples = surface_samples(fit.primitive)
     local = samples.local(fit.coefficients) * fit.scale
     world = local @ fit.T_world_object[:3, :3].T + fit.T_world_object[:3, 3]
@@ -24,4 +24,4 @@ def part_is_seen(fit: FittedPrimitive, part: str, evidence: Evidence) -> bool:
         return False
     to_part = KDTree(world[on_part]).query(evidence.points)[0]
     to_rest = KDTree(world[~on_part]).query(evidence.points)[0]
-    return int(((to_part < _ON_PART_M) & (to_rest > _OFF_BODY_M)).sum()) >= _PART_POINTS
+    return int(((to_part < _ON_PART_M) & (to_rest > _OFF_REST_M)).sum()) >= _PART_POINTS
