@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 import trimesh
@@ -17,19 +15,14 @@ from gfp_grasp.clouds import order_points
 from gfp_grasp.collision import CollisionConfig
 from gfp_grasp.completion import Completion
 from gfp_grasp.deform import DeformConfig, deform
-from gfp_grasp.detect import Detector, clean_cloud, detect_single, get_detector
+from gfp_grasp.detect import DetectConfig, Detector, clean_cloud, detect_single, get_detector
 from gfp_grasp.errors import FitDiverged, InvalidOption, InvalidView, UnknownCategory
+from gfp_grasp.level import level_frame, make_level_view, mark_observed, move_detection
 from gfp_grasp.meshes import crossing_faces
-from gfp_grasp.observation import (
-    canonical_frame,
-    level_frame,
-    mark_observed,
-    move_detection,
-    move_view,
-)
 from gfp_grasp.parallel import one_thread
 from gfp_grasp.primitives import PrimitiveLibrary
-from gfp_grasp.register import Evidence, FitConfig, fit_best, gather_evidence, part_is_seen
+from gfp_grasp.recognition import SURE_SCORE, candidate_primitives, recognise, sureness
+from gfp_grasp.register import FitConfig, fit_best, part_is_seen
 from gfp_grasp.transforms import apply_T, invert_T
 from gfp_grasp.types import (
     KEEP_RULES,
@@ -37,14 +30,12 @@ from gfp_grasp.types import (
     DepthImage,
     Detection,
     FittedPrimitive,
+    LevelView,
+    RangeImage,
+    SensorProfile,
+    View,
+    get_sensor,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-# Below this the best class is an opinion, not a finding: of held-out objects of the classes 2 % are below it, and real
-# boxes, cans, bowls and plates are.
-_SURE_SCORE = 0.8
 
 
 @dataclass(frozen=True)
@@ -88,9 +79,10 @@ def complete_to_mesh(
     viewpoint: ArrayLike | None = None,
     up: ArrayLike | None = (0.0, 0.0, 1.0),
     support_height: float | None = None,
-    view: DepthImage | None = None,
+    view: View | None = None,
     mask: np.ndarray | None = None,
     category: str | None = None,
+    sensor: str | SensorProfile = "tabletop",
     config: CompleteConfig | None = None,
     seed: int = 0,
 ) -> Completion:
@@ -104,9 +96,10 @@ def complete_to_mesh(
         up: (3,) normal of the support; None estimates it, from the plane under the object or else from the axes of
             the camera, and `completion.detection.up` reports the choice.
         support_height: Height of the support along up, m; None estimates it.
-        view: The whole depth picture, for the space that it saw to be free.
+        view: All that the sensor saw, for the space that it saw to be free.
         mask: (h, w) bool, the object's pixels in the view.
         category: A class with a primitive; None lets the classifier and the fits choose.
+        sensor: "tabletop" (a depth camera), "lidar", or a profile of your own: which noise and which sizes to expect.
         config: Switches.
         seed: Of every random choice; the same seed gives the same answer, whatever the order of the points.
 
@@ -118,22 +111,23 @@ def complete_to_mesh(
         TooFewPoints: Too few finite points.
         NothingDetected: Nothing stands above the support.
         InvalidView: View, mask and cloud do not fit each other.
-        InvalidOption: Height, seed or config of the wrong type.
+        InvalidOption: Height, sensor, seed or config of the wrong type.
         UnknownCategory: No primitive of that class; the message lists those on offer.
         FitDiverged: No primitive could be fitted.
     """
     _check_options(config, seed)
     _check_category(category, config)
-    if view is not None and not isinstance(view, DepthImage):
-        raise InvalidView(f"view is a {type(view).__name__}; a gfp_grasp.types.DepthImage is expected")
+    if view is not None and not isinstance(view, (DepthImage, RangeImage)):
+        raise InvalidView(f"view is a {type(view).__name__}; a gfp_grasp.types.DepthImage or RangeImage is expected")
     place, direction = checked_place(viewpoint), checked_direction(up)
-    height = checked_height(support_height)
+    if place is None and view is not None:
+        place = view.viewpoint
+    height, profile = checked_height(support_height), get_sensor(sensor)
     start = time.perf_counter()
-    points = order_points(clean_cloud(cloud), seed=seed)
-    detection = _detect(points, place, direction, height, view, mask, category)
-    completion = complete_detection(detection, config=config, seed=seed)
-    timings = {"detect": time.perf_counter() - start - sum(completion.timings_s.values()), **completion.timings_s}
-    return replace(completion, shape=replace(completion.shape, timings_s=timings))
+    points = order_points(clean_cloud(cloud, sensor=profile), seed=seed)
+    detection, T_world_found = _detect(points, place, direction, height, view, mask, category, profile)
+    seconds = time.perf_counter() - start
+    return _complete(detection, T_world_found, config or CompleteConfig(), seed, timings_s={"detect": seconds})
 
 
 @one_thread()
@@ -192,13 +186,7 @@ def complete_detection(detection: Detection, *, config: CompleteConfig | None = 
         TooFewPoints: Too few points.
         FitDiverged: No primitive could be fitted.
     """
-    config = config or CompleteConfig()
-    if not detection.scores and not detection.category:
-        detection = _classified(detection)
-    if _sureness(detection.scores, config.library) < _SURE_SCORE:
-        scores = ", ".join(f"{name} {score:.2f}" for name, score in detection.scores.items())
-        warnings.warn(f"no known class is likely ({scores}); the best is completed all the same", stacklevel=2)
-    return _complete(detection, config, seed)
+    return _complete(detection, np.eye(4), config or CompleteConfig(), seed, timings_s={})
 
 
 def _detect(
@@ -206,97 +194,98 @@ def _detect(
     viewpoint: np.ndarray | None,
     up: np.ndarray | None,
     support_height: float | None,
-    view: DepthImage | None,
+    view: View | None,
     mask: np.ndarray | None,
     category: str | None,
-) -> Detection:
-    """The object of the points, looked for in their level frame, where grids do not depend on the caller's axes."""
-    if viewpoint is None and view is not None:
-        viewpoint = view.T_world_camera[:3, 3]
+    sensor: SensorProfile,
+) -> tuple[Detection, np.ndarray]:
+    """The object of the points, and T_world_found (4, 4) of the frame that it was found in.
+
+    Where up is known that frame is level, and grids do not depend on the caller's axes.
+    """
+    config = DetectConfig(sensor=sensor, classify=False)
     if up is None:
-        return detect_single(
-            points, viewpoint=viewpoint, up=None, support_height=support_height, view=view, mask=mask, category=category
+        found = detect_single(
+            points,
+            viewpoint=viewpoint,
+            up=None,
+            support_height=support_height,
+            view=view,
+            mask=mask,
+            category=category,
+            config=config,
         )
+        return found, np.eye(4)
     T_world_level = level_frame(points, up, viewpoint)
     T_level_world = invert_T(T_world_level)
     found = detect_single(
         order_points(apply_T(T_level_world, points)),
         viewpoint=None if viewpoint is None else apply_T(T_level_world, viewpoint),
         support_height=None if support_height is None else support_height - float(up @ T_world_level[:3, 3]),
-        view=None if view is None else move_view(view, T_level_world),
+        view=None if view is None else view.moved(T_level_world),
         mask=mask,
         category=category,
+        config=config,
     )
-    return replace(move_detection(found, T_world_level), view=view)
+    return found, T_world_level
 
 
-def _classified(detection: Detection) -> Detection:
-    """The detection with the scores of the classes, which its detector did not give."""
-    from gfp_grasp.detect import classify  # torch is loaded where it is needed only
-
-    scores = classify(detection.cloud.points, detection.up, detection.support)
-    return replace(detection, category=max(scores, key=lambda name: scores[name]), scores=scores)
-
-
-def _sureness(scores: Mapping[str, float], library: PrimitiveLibrary) -> float:
-    """Score of the best class, together with those it is easily taken for; 1 where no class was asked for."""
-    together = [
-        sum(scores.get(n, 0.0) for n in (name, *library.spec(name).alike)) for name in scores if name in library
-    ]
-    return max([*scores.values(), *together]) if scores else 1.0
-
-
-def _complete(detection: Detection, config: CompleteConfig, seed: int) -> Completion:
-    clock = _Clock()
+def _complete(
+    detection: Detection,
+    T_world_found: np.ndarray,
+    config: CompleteConfig,
+    seed: int,
+    *,
+    timings_s: dict[str, float],
+) -> Completion:
+    """Complete a detection that was found in some frame; the completion and its detection are in the world's."""
+    clock = _Clock(timings_s)
+    detection = recognise(detection, config.library)
+    if sureness(detection.scores, config.library) < SURE_SCORE:
+        scores = ", ".join(f"{name} {score:.2f}" for name, score in detection.scores.items())
+        warnings.warn(f"no known class is likely ({scores}); the best is completed all the same", stacklevel=4)
+    clock.lap("detect")
     # Everything below runs in a frame tied to the object and the viewer, so that the answer moves with its input.
-    detection_here, T_world_here = canonical_frame(detection, seed=seed)
-    fit = _best_fit(detection_here, config)
+    view = make_level_view(detection, seed=seed)
+    clock.lap("level")
+    fit = _best_fit(view, detection, config)
     clock.lap("register")
-    deformed = deform(fit, detection_here, config=config.deform)
+    deformed = deform(fit, view, config=config.deform)
     if deformed.kept < 1 or config.deform.method == "none":
         solid = _solid(fit)  # a fit that crosses itself is a rare thing, and to know it takes time
         if solid is not fit:
-            fit, deformed = solid, deform(solid, detection_here, config=config.deform)
+            fit, deformed = solid, deform(solid, view, config=config.deform)
     clock.lap("deform")
-    observed, sigma = mark_observed(deformed.vertices, fit.primitive.faces, detection_here, deformed.sigma_m)
-    vertices = deformed.vertices @ T_world_here[:3, :3].T + T_world_here[:3, 3]
-    mesh = trimesh.Trimesh(vertices, fit.primitive.faces.copy(), process=False)
+    faces = fit.primitive.faces
+    observed, sigma_m = mark_observed(
+        deformed.vertices, faces, view.cloud, sensor_sigma_m=view.sigma_m, sigma_m=deformed.sigma_m
+    )
     clock.lap("mark")
+    T_world_level = T_world_found @ view.T_world_level
     shape = CompletedShape(
-        mesh=mesh,
+        mesh=trimesh.Trimesh(apply_T(T_world_level, deformed.vertices), faces.copy(), process=False),
         observed=observed,
-        sigma_m=sigma,
-        fit=replace(fit, T_world_object=T_world_here @ fit.T_world_object),
+        sigma_m=sigma_m,
+        fit=replace(fit, T_world_object=T_world_level @ fit.T_world_object),
         timings_s=clock.laps,
     )
-    return Completion(shape, detection, collision_config=config.collision)
+    return Completion(shape, move_detection(detection, T_world_found), collision_config=config.collision)
 
 
-def _best_fit(detection: Detection, config: CompleteConfig) -> FittedPrimitive:
-    evidence, library = gather_evidence(detection), config.library
-    candidates = []
-    for name in _candidates(detection.scores, detection.category, config):
-        odds = -np.log(max(detection.scores.get(name, 1.0), 1e-6))
-        primitives = library.members_of(name) if config.subcategories else (library.primitive(name),)
-        candidates += [(primitive, odds + primitive.spec.cost) for primitive in primitives]
-    fit = fit_best(evidence, candidates, config=config.fit)
-    return _with_parts_seen(fit, evidence, config.optional_parts)
+def _best_fit(view: LevelView, detection: Detection, config: CompleteConfig) -> FittedPrimitive:
+    candidates = candidate_primitives(
+        detection, config.library, rival_share=config.rival_share, subcategories=config.subcategories
+    )
+    fit = fit_best(view, candidates, config=config.fit)
+    return _with_parts_seen(fit, view, config.optional_parts)
 
 
-def _candidates(scores: Mapping[str, float], category: str, config: CompleteConfig) -> Sequence[str]:
-    offered = {name: score for name, score in scores.items() if name in config.library.categories}
-    if not offered:
-        return [category]
-    best = max(offered.values())
-    return sorted((n for n, score in offered.items() if score >= config.rival_share * best), key=lambda n: -offered[n])
-
-
-def _with_parts_seen(fit: FittedPrimitive, evidence: Evidence, rule: str) -> FittedPrimitive:
+def _with_parts_seen(fit: FittedPrimitive, view: LevelView, rule: str) -> FittedPrimitive:
     """The fit without the optional parts that are to be seen and are not; the modes hold for the body that is left."""
     missing = [
         part.name
         for part in fit.primitive.spec.optional_parts
-        if (part.keep if rule == "card" else rule) == "seen" and not part_is_seen(fit, part.name, evidence)
+        if (part.keep if rule == "card" else rule) == "seen" and not part_is_seen(fit, part.name, view)
     ]
     body = fit.primitive.without(missing)
     return fit if body is None or body is fit.primitive else replace(fit, primitive=body)
@@ -326,13 +315,19 @@ def _check_options(config: object, seed: object) -> None:
 
 
 class _Clock:
-    def __init__(self) -> None:
-        self.laps: dict[str, float] = {}
+    """Seconds by stage.
+
+    Args:
+        laps: Of the stages before.
+    """
+
+    def __init__(self, laps: dict[str, float]) -> None:
+        self.laps = dict(laps)
         self._last = time.perf_counter()
 
     def lap(self, name: str) -> None:
         now = time.perf_counter()
-        self.laps[name] = now - self._last
+        self.laps[name] = self.laps.get(name, 0.0) + now - self._last
         self._last = now
 
 

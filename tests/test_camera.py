@@ -63,7 +63,7 @@ def test_backprojected_points_project_into_their_own_pixels():
     rng = np.random.default_rng(0)
     T = camera.sample_viewpoint(rng)
     image, _ = view([cup()], T, table_height=0.0)
-    pixels, depth = camera.project(camera.backproject(image), image.K, T)
+    pixels, depth = image.project(image.points())
     v, u = np.nonzero(image.depth_m > 0)
     assert np.abs(pixels[v, u] - np.column_stack([u, v])).max() < 1e-9
     assert np.abs(depth[v, u] - image.depth_m[v, u]).max() < 1e-9
@@ -91,7 +91,7 @@ def test_the_table_is_a_plane_at_its_height_under_any_camera():
     for height in (0.0, 0.37, -0.2):
         T = camera.sample_viewpoint(rng, target=(0.1, 0.2, height))
         image, index = view([], T, table_height=height)
-        points = camera.backproject(image)[index == 0]
+        points = image.points()[index == 0]
         assert len(points) > 1000
         assert np.abs(points[:, 2] - height).max() < 1e-6
 
@@ -161,7 +161,7 @@ def test_organised_points_give_back_the_camera_that_saw_them():
     points = camera.camera_points(image)
     again = camera.view_from_points(points, T_world_camera=image.T_world_camera)
     assert np.abs(again.K - odd).max() < 1e-3
-    assert np.nanmax(np.abs(camera.backproject(again) - apply_T(image.T_world_camera, points))) < 1e-6
+    assert np.nanmax(np.abs(again.points() - apply_T(image.T_world_camera, points))) < 1e-6
 
 
 def test_organised_points_of_another_layout_are_refused():
@@ -182,13 +182,13 @@ def test_real_kinect_captures_come_in_as_organised_points():
         points = np.load(file)["points_cam"]
         image = camera.view_from_points(points)
         assert image.K[0, 0] == pytest.approx(525.0, abs=0.1), file.name
-        assert np.nanmax(np.abs(camera.backproject(image) - points)) < 1e-5
+        assert np.nanmax(np.abs(image.points() - points)) < 1e-5
 
 
 def test_depth_images_of_real_captures_hold_their_segmented_points():
     for name in ("mug_red", "bottle_mustard", "bowl_green"):
         capture = np.load(real_data.folder() / "captures" / f"{name}.npz")
         image = DepthImage(capture["depth_m"], capture["K"], np.eye(4))
-        pixels, depth = camera.project(capture["object_points_cam"], image.K, np.eye(4))
+        pixels, depth = image.project(capture["object_points_cam"])
         u, v = np.round(pixels).astype(int).T
         assert np.median(np.abs(image.depth_m[v, u] - depth)) < 2e-3

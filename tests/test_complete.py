@@ -10,12 +10,13 @@ import trimesh
 from gfp_grasp import Completion, complete_scene, complete_to_mesh
 from gfp_grasp.camera import SensorModel, apply_sensor, cloud_of, intrinsics, render_mesh_view, sample_viewpoint
 from gfp_grasp.clouds import order_points
-from gfp_grasp.complete import CompleteConfig, _sureness
+from gfp_grasp.complete import CompleteConfig
 from gfp_grasp.errors import GfpGraspError, InvalidCloud, InvalidOption, InvalidView, TooFewPoints, UnknownCategory
+from gfp_grasp.level import make_level_view, mark_observed
 from gfp_grasp.meshes import crossing_faces, load_mesh
 from gfp_grasp.metrics import chamfer_m, visible_surface
-from gfp_grasp.observation import canonical_frame, mark_observed
 from gfp_grasp.primitives import PrimitiveLibrary
+from gfp_grasp.recognition import sureness
 from gfp_grasp.shapes import make_shape, split_seeds
 from gfp_grasp.transforms import apply_T, look_at, make_T, rotation_about
 from gfp_grasp.types import DepthImage, Detection, OrientedBox, PointCloud
@@ -233,7 +234,7 @@ def test_points_are_thinned_by_themselves_not_by_their_order():
     assert 80_000 < len(first) < 120_000
 
 
-def test_canonical_frame_looks_at_the_viewer():
+def test_level_frame_looks_at_the_viewer():
     points = np.random.default_rng(0).normal((1.0, 2.0, 3.0), 0.02, (400, 3))
     detection = Detection(
         cloud=PointCloud(points, np.array([1.0, 5.0, 4.0])),
@@ -243,27 +244,23 @@ def test_canonical_frame_looks_at_the_viewer():
         scores={"cup": 1.0},
         box=OrientedBox(np.eye(4), np.ones(3)),
     )
-    moved, T = canonical_frame(detection)
-    assert moved.cloud.viewpoint is not None
-    assert apply_T(T, moved.cloud.viewpoint) == pytest.approx([1.0, 5.0, 4.0])
-    assert moved.cloud.points.mean(axis=0) == pytest.approx(np.zeros(3), abs=1e-12)
-    assert moved.cloud.viewpoint[0] > 0
-    assert moved.cloud.viewpoint[1] == pytest.approx(0.0, abs=1e-9)
+    view = make_level_view(detection)
+    assert view.viewpoint is not None
+    assert apply_T(view.T_world_level, view.viewpoint) == pytest.approx([1.0, 5.0, 4.0])
+    assert view.cloud.points.mean(axis=0) == pytest.approx(np.zeros(3), abs=1e-12)
+    assert view.viewpoint[0] > 0
+    assert view.viewpoint[1] == pytest.approx(0.0, abs=1e-9)
 
 
 def test_a_sphere_is_observed_on_the_near_side_only():
     sphere = trimesh.creation.icosphere(subdivisions=4, radius=0.05)
     near = sphere.vertices[sphere.vertices[:, 0] > 0.01]
-    detection = Detection(
-        cloud=PointCloud(near, np.array([1.0, 0.0, 0.0])),
-        up=np.array([0.0, 0.0, 1.0]),
-        support=None,
-        category="cup",
-        scores={"cup": 1.0},
-        box=OrientedBox(np.eye(4), np.ones(3)),
-    )
     observed, sigma = mark_observed(
-        np.asarray(sphere.vertices), np.asarray(sphere.faces), detection, np.full(len(sphere.vertices), np.nan)
+        np.asarray(sphere.vertices),
+        np.asarray(sphere.faces),
+        PointCloud(near, np.array([1.0, 0.0, 0.0])),
+        sensor_sigma_m=0.0015,
+        sigma_m=np.full(len(sphere.vertices), np.nan),
     )
     assert observed[sphere.vertices[:, 0] > 0.012].all()
     assert not observed[sphere.vertices[:, 0] < 0].any()
@@ -288,9 +285,9 @@ def test_real_captures_complete_in_the_cameras_frame():
 
 
 def test_torn_between_cup_and_mug_is_sure_and_between_cup_and_bottle_is_not():
-    assert _sureness({"cup": 0.5, "mug": 0.48, "bottle": 0.02}, PrimitiveLibrary.shipped()) == pytest.approx(0.98)
-    assert _sureness({"cup": 0.5, "mug": 0.02, "bottle": 0.48}, PrimitiveLibrary.shipped()) == pytest.approx(0.52)
-    assert _sureness({}, PrimitiveLibrary.shipped()) == 1.0
+    assert sureness({"cup": 0.5, "mug": 0.48, "bottle": 0.02}, PrimitiveLibrary.shipped()) == pytest.approx(0.98)
+    assert sureness({"cup": 0.5, "mug": 0.02, "bottle": 0.48}, PrimitiveLibrary.shipped()) == pytest.approx(0.52)
+    assert sureness({}, PrimitiveLibrary.shipped()) == 1.0
 
 
 @pytest.mark.parametrize("name", ["box__ycb_003_cracker_box", "can__ycb_005_tomato_soup_can", "plate__ycb_029_plate"])

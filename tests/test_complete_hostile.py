@@ -14,8 +14,9 @@ from gfp_grasp.complete import Completion, _detect
 from gfp_grasp.deform import DeformConfig
 from gfp_grasp.detect import clean_cloud, detect_single
 from gfp_grasp.errors import InvalidCloud, InvalidOption, InvalidView, TooFewPoints
+from gfp_grasp.level import move_detection
 from gfp_grasp.transforms import apply_T, look_at, make_T, random_rotation
-from gfp_grasp.types import CompletedShape, DepthImage
+from gfp_grasp.types import TABLETOP, CompletedShape, DepthImage
 
 EYE = np.array([0.4, 0.0, 0.4])
 K = np.array([[300.0, 0, 80], [0, 300.0, 60], [0, 0, 1]])
@@ -189,7 +190,7 @@ def test_a_scene_is_a_depth_image(cup):
 
 @pytest.mark.parametrize("up", [(0, 0, 1e300), (0, 0, 1e-5), torch.tensor([0.0, 0.0, 2.0], requires_grad=True)])
 def test_up_of_any_length_is_the_same_direction(cup, up, monkeypatch):
-    monkeypatch.setattr("gfp_grasp.complete.complete_detection", lambda detection, **_: _only(detection))
+    monkeypatch.setattr("gfp_grasp.complete._complete", _found_only)
     detection = complete_to_mesh(cup, up=up, viewpoint=EYE, category="cup").detection
     np.testing.assert_allclose(detection.up, (0, 0, 1), atol=1e-12)
 
@@ -198,14 +199,14 @@ def test_detection_does_not_depend_on_the_frame(cup):
     """Offsets of a kilometre and any turn: the same points are the object's, and the same noise is read off them."""
     rng = np.random.default_rng(0)
     points = order_points(cup + rng.normal(scale=0.0008, size=cup.shape))
-    options = {"support_height": None, "view": None, "mask": None, "category": "cup"}
-    here = _detect(points, EYE, np.array([0.0, 0.0, 1.0]), **options)
+    rest = (None, None, None, "cup", TABLETOP)  # support, view and mask are unknown
+    here = move_detection(*_detect(points, EYE, np.array([0.0, 0.0, 1.0]), *rest))
     for _ in range(3):
         T = make_T(random_rotation(rng), rng.normal(scale=1000.0, size=3))
-        there = _detect(order_points(apply_T(T, points)), apply_T(T, EYE), T[:3, 2], **options)
+        there = move_detection(*_detect(order_points(apply_T(T, points)), apply_T(T, EYE), T[:3, 2], *rest))
         assert there.sensor_sigma_m == pytest.approx(here.sensor_sigma_m, rel=1e-6)
         expected = order_points(apply_T(T, here.cloud.points))
-        np.testing.assert_allclose(there.cloud.points, expected, atol=1e-9)
+        np.testing.assert_allclose(order_points(there.cloud.points), expected, atol=1e-9)
 
 
 def test_up_is_found_among_the_axes_where_the_viewpoint_is_not_the_origin(cup):
@@ -213,6 +214,6 @@ def test_up_is_found_among_the_axes_where_the_viewpoint_is_not_the_origin(cup):
     assert detect_single(cup, viewpoint=EYE, up=None).up == pytest.approx([0.0, 0.0, 1.0])
 
 
-def _only(detection) -> Completion:
+def _found_only(detection, T_world_found, config, seed, *, timings_s) -> Completion:
     shape = CompletedShape(trimesh.creation.box(), np.zeros(8, bool), np.ones(8))
-    return Completion(shape, detection)
+    return Completion(shape, move_detection(detection, T_world_found))

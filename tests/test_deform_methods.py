@@ -6,15 +6,14 @@ import numpy as np
 import pytest
 import torch
 from scipy.spatial import KDTree
-from toy_bodies import T_WORLD_OBJECT, detection_of, fit_of
+from toy_bodies import T_WORLD_OBJECT, fit_of, moved_view, view_of
 from toy_primitive import toy_cup_primitive
 
 from gfp_grasp.deform import DeformConfig, deform, patch_layout, patch_unit_m
 from gfp_grasp.deform import gfpnet as networks
 from gfp_grasp.deform import shape as methods
 from gfp_grasp.meshes import vertex_normals
-from gfp_grasp.transforms import apply_T, invert_T, make_T
-from gfp_grasp.types import PointCloud
+from gfp_grasp.transforms import invert_T, make_T
 
 EYE = np.array([0.5, 0.3, 0.3])  # in the cup's frame
 SCALE = np.array([1.2, 0.9, 1.1])
@@ -26,12 +25,12 @@ def fit():
 
 
 @pytest.fixture(scope="module")
-def detection(fit):
+def view(fit):
     """The side of the fitted cup that faces the eye, pushed out by 1 mm."""
     vertices = fit.primitive.shape(fit.coefficients, fit.scale)
     normals = vertex_normals(vertices, fit.primitive.faces)
     seen = np.einsum("vi,vi->v", EYE - vertices, normals) > 0.3 * np.linalg.norm(EYE - vertices, axis=1)
-    return detection_of((vertices + 0.001 * normals)[seen], EYE)
+    return view_of((vertices + 0.001 * normals)[seen], EYE)
 
 
 class Answering:
@@ -65,18 +64,18 @@ def displacement_of(deformed, fit):
     return (deformed.vertices - fit.vertices_world()) @ T_WORLD_OBJECT[:3, :3]
 
 
-def test_no_method_leaves_the_fit_as_it_is(fit, detection):
-    deformed = deform(fit, detection, config=DeformConfig(method="none"))
+def test_no_method_leaves_the_fit_as_it_is(fit, view):
+    deformed = deform(fit, view, config=DeformConfig(method="none"))
     np.testing.assert_array_equal(deformed.vertices, fit.vertices_world())
     assert np.isnan(deformed.sigma_m).all()
     assert deformed.kept == 1.0
 
 
-def test_offsets_of_the_patches_are_blended_and_diffused_along_the_patches_normals(monkeypatch, fit, detection):
+def test_offsets_of_the_patches_are_blended_and_diffused_along_the_patches_normals(monkeypatch, fit, view):
     """All patches say 0.04 units along their own normals: the surface grows by about that much."""
     step = 0.04 * patch_unit_m(fit.primitive)
     network = Answering(monkeypatch, per_point((0, 0, 0.04)))
-    deformed = deform(fit, detection)
+    deformed = deform(fit, view)
     assert network.names == ["patch"]
     assert deformed.kept == 1.0
     vertices = fit.primitive.shape(fit.coefficients, fit.scale)
@@ -86,31 +85,31 @@ def test_offsets_of_the_patches_are_blended_and_diffused_along_the_patches_norma
     assert along[wall] == pytest.approx(np.full(wall.sum(), step), rel=0.35)
 
 
-def test_an_offset_of_one_point_is_believed_up_to_a_fifteenth_of_the_unit(monkeypatch, fit, detection):
+def test_an_offset_of_one_point_is_believed_up_to_a_fifteenth_of_the_unit(monkeypatch, fit, view):
     unit = patch_unit_m(fit.primitive)
     largest = {}
     for length in (0.05, 1 / 15, 0.2, 3.0):
         Answering(monkeypatch, per_point(np.array([0.6, 0.0, 0.8]) * length))
-        largest[length] = np.linalg.norm(displacement_of(deform(fit, detection), fit), axis=1).max()
+        largest[length] = np.linalg.norm(displacement_of(deform(fit, view), fit), axis=1).max()
     assert largest[0.05] == pytest.approx(0.75 * largest[1 / 15], rel=1e-3)
     assert largest[0.2] == pytest.approx(largest[1 / 15], rel=1e-4)
     assert largest[3.0] == pytest.approx(largest[1 / 15], rel=1e-4)
     assert 0.9 * unit / 15 < largest[1 / 15] < 1.1 * unit / 15
 
 
-def test_sigma_is_what_the_network_says_in_metres(monkeypatch, fit, detection):
+def test_sigma_is_what_the_network_says_in_metres(monkeypatch, fit, view):
     Answering(monkeypatch, per_point((0, 0, 0), log_sigma=-2.5))
-    sigma_m = deform(fit, detection).sigma_m
+    sigma_m = deform(fit, view).sigma_m
     assert sigma_m == pytest.approx(np.full(len(sigma_m), np.exp(-2.5) * patch_unit_m(fit.primitive)), rel=1e-5)
 
 
-def test_sigma_of_a_vertex_is_the_weighted_mean_in_logarithms_of_the_patches_that_hold_it(monkeypatch, fit, detection):
+def test_sigma_of_a_vertex_is_the_weighted_mean_in_logarithms_of_the_patches_that_hold_it(monkeypatch, fit, view):
     def answer(source, *_):
         said = torch.arange(source.shape[1], dtype=torch.float32)[None, :, None].expand(source.shape[:3]) / 20 - 4
         return torch.zeros(source.shape), said, torch.zeros(1, networks.CHANGE)
 
     Answering(monkeypatch, answer)
-    sigma_m = deform(fit, detection).sigma_m
+    sigma_m = deform(fit, view).sigma_m
     index, weights = patch_layout(fit.primitive)
     for vertex in (0, 100, 333, 700):
         patch, place = np.nonzero(index == vertex)
@@ -118,7 +117,7 @@ def test_sigma_of_a_vertex_is_the_weighted_mean_in_logarithms_of_the_patches_tha
         assert sigma_m[vertex] == pytest.approx(np.exp(mean) * patch_unit_m(fit.primitive), rel=1e-4)
 
 
-def test_a_change_of_the_fit_moves_all_vertices(monkeypatch, fit, detection):
+def test_a_change_of_the_fit_moves_all_vertices(monkeypatch, fit, view):
     """Scale along y, which the network may change although it does not know the primitive."""
 
     def answer(source, *_):
@@ -127,7 +126,7 @@ def test_a_change_of_the_fit_moves_all_vertices(monkeypatch, fit, detection):
         return torch.zeros(source.shape), torch.zeros(source.shape[:3]), change
 
     Answering(monkeypatch, answer)
-    moved = displacement_of(deform(fit, detection), fit)
+    moved = displacement_of(deform(fit, view), fit)
     vertices = fit.primitive.shape(fit.coefficients, fit.scale)
     grown = networks.change_units(fit.primitive)[networks.MODES + 1] * 2.0 * vertices[:, 1]
     assert moved[:, 1] == pytest.approx(grown, abs=2e-4)
@@ -135,21 +134,21 @@ def test_a_change_of_the_fit_moves_all_vertices(monkeypatch, fit, detection):
     assert np.corrcoef(moved[:, 1], grown)[0, 1] > 0.99
 
 
-def test_the_network_is_told_of_the_viewpoint_in_the_frame_of_the_object(monkeypatch, fit, detection):
+def test_the_network_is_told_of_the_viewpoint_in_the_frame_of_the_object(monkeypatch, fit, view):
     network = Answering(monkeypatch, per_point((0, 0, 0)))
-    deform(fit, detection)
+    deform(fit, view)
     pose_features = network.asked[0][0][6][0].numpy()
     vertices = fit.primitive.shape(fit.coefficients, fit.scale)
     sight = EYE - vertices[patch_layout(fit.primitive)[0][:, 0]]
     assert pose_features[:, 3:6] == pytest.approx(sight / np.linalg.norm(sight, axis=1, keepdims=True), abs=1e-5)
 
 
-def test_the_network_is_given_the_patches_as_they_are_made(monkeypatch, fit, detection):
+def test_the_network_is_given_the_patches_as_they_are_made(monkeypatch, fit, view):
     network = Answering(monkeypatch, per_point((0, 0, 0)))
     made = []
     make_patches = methods.make_patches
     monkeypatch.setattr(methods, "make_patches", lambda *a: made.append(make_patches(*a)) or made[-1])
-    deform(fit, detection)
+    deform(fit, view)
     (p,) = made
     wanted = (
         p.source,
@@ -171,19 +170,19 @@ def test_the_network_is_given_the_patches_as_they_are_made(monkeypatch, fit, det
     ("method", "name", "iterations"),
     [("gfpnet-paper", "paper-iterative", 3), ("gfpnet-oneshot", "paper-oneshot", None)],
 )
-def test_the_papers_methods_run_their_own_networks(monkeypatch, fit, detection, method, name, iterations):
+def test_the_papers_methods_run_their_own_networks(monkeypatch, fit, view, method, name, iterations):
     network = Answering(monkeypatch, lambda source, template: source)
-    deformed = deform(fit, detection, config=DeformConfig(method=method, iterations=3))
+    deformed = deform(fit, view, config=DeformConfig(method=method, iterations=3))
     assert network.names == [name]
     assert network.asked[0][1] == {"iterations": iterations}
     assert np.abs(deformed.vertices - fit.vertices_world()).max() < 1e-6  # the set is the source itself
     assert np.isnan(deformed.sigma_m).all()
 
 
-def test_the_papers_network_sees_only_patches_with_points_and_what_it_says_is_diffused(monkeypatch, fit, detection):
+def test_the_papers_network_sees_only_patches_with_points_and_what_it_says_is_diffused(monkeypatch, fit, view):
     step = 0.03
     network = Answering(monkeypatch, lambda source, template: source + torch.tensor([0.0, 0.0, step]))
-    deformed = deform(fit, detection, config=DeformConfig(method="gfpnet-paper"))
+    deformed = deform(fit, view, config=DeformConfig(method="gfpnet-paper"))
     moved = np.linalg.norm(displacement_of(deformed, fit), axis=1)
     index, _ = patch_layout(fit.primitive)
     count = len(network.asked[0][0][0])
@@ -194,7 +193,7 @@ def test_the_papers_network_sees_only_patches_with_points_and_what_it_says_is_di
     assert np.abs(moved[a] - moved[b]).max() < 0.5 * moved.max()
 
 
-def test_symmetry_is_used_where_it_is_asked_for_and_never_by_the_papers_method(monkeypatch, fit, detection):
+def test_symmetry_is_used_where_it_is_asked_for_and_never_by_the_papers_method(monkeypatch, fit, view):
     asked, template_points = [], methods.template_points
 
     def spied(*parts, symmetry):
@@ -204,12 +203,12 @@ def test_symmetry_is_used_where_it_is_asked_for_and_never_by_the_papers_method(m
     monkeypatch.setattr(methods, "template_points", spied)
     Answering(monkeypatch, lambda *parts: per_point((0, 0, 0))(*parts) if len(parts) > 2 else parts[0])
     for method, symmetry in (("gfpnet", True), ("gfpnet", False), ("gfpnet-paper", True), ("gfpnet-oneshot", True)):
-        deform(fit, detection, config=DeformConfig(method=method, symmetry=symmetry))
-    deform(fit, detection, config=DeformConfig(method="gfs", symmetry=False))
+        deform(fit, view, config=DeformConfig(method=method, symmetry=symmetry))
+    deform(fit, view, config=DeformConfig(method="gfs", symmetry=False))
     assert asked == [True, False, False, True, False]
 
 
-def test_a_predicted_set_pulls_each_point_by_the_mean_of_its_neighbourhood(fit, detection):
+def test_a_predicted_set_pulls_each_point_by_the_mean_of_its_neighbourhood(fit, view):
     """The set is the source, every other point of it lifted: what a point alone would say, eight of them even out."""
     rng = np.random.default_rng(0)
     source = np.concatenate([rng.uniform(-1, 1, (2, 64, 2)), np.zeros((2, 64, 1))], axis=2)
@@ -224,9 +223,9 @@ def test_a_predicted_set_pulls_each_point_by_the_mean_of_its_neighbourhood(fit, 
         assert answer[:, :2] == pytest.approx(np.zeros((64, 2)))
 
 
-def test_the_contour_draws_the_seen_side_out_and_leaves_the_far_side(fit, detection):
+def test_the_contour_draws_the_seen_side_out_and_leaves_the_far_side(fit, view):
     config = DeformConfig(method="gfs", symmetry=False)
-    deformed = deform(fit, detection, config=config)
+    deformed = deform(fit, view, config=config)
     vertices = fit.primitive.shape(fit.coefficients, fit.scale)
     normals = vertex_normals(vertices, fit.primitive.faces)
     along = np.einsum("vi,vi->v", displacement_of(deformed, fit), normals)
@@ -237,14 +236,13 @@ def test_the_contour_draws_the_seen_side_out_and_leaves_the_far_side(fit, detect
     assert np.isnan(deformed.sigma_m).all()
 
 
-def test_deformation_turns_with_the_scene(fit, detection):
+def test_deformation_turns_with_the_scene(fit, view):
     """The default network's answer is the same in the object's frame wherever the object lies."""
     T = make_T(None, (-3.0, 1.0, 0.2))
     move = T @ invert_T(T_WORLD_OBJECT)
-    cloud = PointCloud(apply_T(move, detection.cloud.points), apply_T(move, detection.cloud.viewpoint))
-    here = displacement_of(deform(fit, detection), fit)
+    here = displacement_of(deform(fit, view), fit)
     there = replace(fit, T_world_object=T)
-    deformed = deform(there, replace(detection, cloud=cloud, up=np.array([0.0, 0.0, 1.0])))
+    deformed = deform(there, moved_view(view, move))
     moved = deformed.vertices - there.vertices_world()
     assert np.abs(here).max() > 2e-4
     assert np.abs(moved - here).max() < 0.1 * np.abs(here).max()

@@ -13,7 +13,7 @@ import trimesh
 from PIL import Image
 
 from gfp_grasp.assets import data_dir
-from gfp_grasp.camera import intrinsics, project
+from gfp_grasp.camera import intrinsics
 from gfp_grasp.captures import complete_capture, read_capture
 from gfp_grasp.demo import run_demo
 from gfp_grasp.demo.assets import CLUTTER, FILE, SINGLE, load_asset, pick_objects, read_parts, write_parts
@@ -25,7 +25,7 @@ from gfp_grasp.drawing.film import FRAME_PX, film_camera
 from gfp_grasp.metrics import completion_errors
 from gfp_grasp.scenes.cache import mesh_sha256
 from gfp_grasp.transforms import apply_T, make_T, random_rotation
-from gfp_grasp.types import CollisionMesh, ConvexPart, Grasp, TrueObject
+from gfp_grasp.types import CollisionMesh, ConvexPart, DepthImage, Grasp, TrueObject
 
 
 @pytest.fixture(scope="module")
@@ -188,6 +188,6 @@ def test_the_film_shows_both_jaws_and_the_whole_lift(alone: bool, yaw_deg: int) 
     width, height = FRAME_PX
     jaws = 0.03 * np.array([closing, -closing]) + (0, 0, 0.1)
     lifted = np.concatenate([jaws, [[0, 0, 0.0], [0, 0, 0.1 + 0.2 + 0.16]]])
-    pixels, _ = project(lifted, intrinsics(width, height, 35.0), camera)
+    pixels, _ = DepthImage(np.zeros((height, width)), intrinsics(width, height, 35.0), camera).project(lifted)
     assert ((pixels > 0) & (pixels < (width, height))).all()
     assert abs(pixels[0, 0] - pixels[1, 0]) > 0.06 * height  # seen from along the jaws there would be no gap

@@ -8,11 +8,9 @@ import pytest
 import torch
 import trimesh
 
-from gfp_grasp.camera import SensorModel, apply_sensor, backproject, cloud_of, intrinsics, render_mesh_view
+from gfp_grasp.camera import SensorModel, apply_sensor, cloud_of, intrinsics, render_mesh_view
 from gfp_grasp.detect import (
-    ClusterConfig,
     DetectConfig,
-    SupportConfig,
     clean_cloud,
     detect_objects,
     detect_single,
@@ -23,7 +21,7 @@ from gfp_grasp.detect import (
 )
 from gfp_grasp.errors import InvalidCloud, InvalidOption, InvalidView, NothingDetected, TooFewPoints
 from gfp_grasp.transforms import apply_T, look_at, make_T, random_rotation, rotation_about
-from gfp_grasp.types import DepthImage, PointCloud, SupportPlane
+from gfp_grasp.types import DepthImage, PointCloud, SensorProfile, SupportPlane, get_sensor
 
 UP = np.array([0.0, 0.0, 1.0])
 EYE = np.array([0.5, -0.3, 0.5])
@@ -53,7 +51,7 @@ def scene() -> tuple[DepthImage, np.ndarray]:
 
 
 def _points(image: DepthImage) -> np.ndarray:
-    points = backproject(image)
+    points = image.points()
     return points[np.isfinite(points).all(axis=2)]
 
 
@@ -328,10 +326,10 @@ def test_the_noisy_broad_side_of_a_flat_bottle_is_a_cloud():
 @pytest.mark.parametrize(
     "make",
     [
-        lambda: SupportConfig(inlier_m=0.0),
-        lambda: SupportConfig(max_tilt_deg=90.0),
-        lambda: ClusterConfig(gap_m=-1.0),
         lambda: DetectConfig(max_points=1),
+        lambda: SensorProfile("backwards", sigma_m=0.1, farthest_m=1.0, scene_m=1.0, largest_m=1.0, smallest_m=0.01),
+        lambda: SensorProfile("blind", sigma_m=0.001, farthest_m=0.0, scene_m=1.0, largest_m=1.0, smallest_m=0.01),
+        lambda: get_sensor("sonar"),
     ],
 )
 def test_nonsense_in_a_config_is_refused(make):

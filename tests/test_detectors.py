@@ -48,9 +48,14 @@ def points_only(image: DepthImage, *, up: np.ndarray | None) -> np.ndarray:
     return cloud_of(image).points
 
 
-def test_tabletop_is_the_detection_of_what_stands_on_a_plane() -> None:
-    assert DETECTORS["tabletop"] is detect_objects
-    assert get_detector("tabletop") is detect_objects
+def test_tabletop_finds_what_stands_on_a_plane_and_names_no_class() -> None:
+    assert list(DETECTORS) == ["tabletop"]
+    found = get_detector("tabletop")(_picture(), up=np.array([0.0, 0.0, 1.0]))
+    assert sorted(round(float(d.cloud.points[:, 1].mean()), 1) for d in found) == [LEFT_M, 0.1]
+    assert [d.category for d in found] == ["", ""]
+    named = detect_objects(_picture())
+    np.testing.assert_array_equal(named[0].cloud.points, found[0].cloud.points)
+    assert all(d.category for d in named)
 
 
 def test_scene_is_completed_by_the_users_own_detector() -> None:

@@ -17,7 +17,7 @@ PACKAGE = ROOT / "gfp_grasp"
 ROWS = (
     ("errors", "types", "assets", "transforms", "parallel", "journal", "plugins"),
     ("camera", "clouds", "meshes", "metrics", "shapes", "collision"),
-    ("arguments", "observation", "primitives", "detect", "register", "deform", "grasps"),
+    ("arguments", "level", "recognition", "primitives", "detect", "register", "deform", "grasps"),
     ("complete", "completers", "completion", "export", "scenes", "datasets", "captures"),
     ("envs", "train"),
     ("drawing",),

@@ -7,7 +7,7 @@ import pytest
 import trimesh
 from toy_bodies import T_WORLD_OBJECT, detection_of, refined, slab
 
-from gfp_grasp.observation import level_frame, mark_observed, move_detection
+from gfp_grasp.level import level_frame, mark_observed, move_detection
 from gfp_grasp.transforms import apply_T, invert_T, make_T, rotation_about
 from gfp_grasp.types import DepthImage, OrientedBox, SupportPlane
 
@@ -25,7 +25,13 @@ def marked(mesh, detection, sigma_m=None):
     """Of a mesh in the body's frame, put into the world where the detection is."""
     vertices = apply_T(T_WORLD_OBJECT, np.asarray(mesh.vertices))
     nothing = np.full(len(vertices), np.nan)
-    return mark_observed(vertices, np.asarray(mesh.faces), detection, nothing if sigma_m is None else sigma_m)
+    return mark_observed(
+        vertices,
+        np.asarray(mesh.faces),
+        detection.cloud,
+        sensor_sigma_m=detection.sensor_sigma_m,
+        sigma_m=nothing if sigma_m is None else sigma_m,
+    )
 
 
 def sheet(z=0.0, *, facing_up=True):
@@ -120,7 +126,7 @@ def test_a_detection_moves_with_all_that_it_holds():
     assert moved.view.T_world_camera == pytest.approx(T @ T_WORLD_OBJECT)
     np.testing.assert_array_equal(moved.view.depth_m, image.depth_m)
     back = move_detection(moved, invert_T(T))
-    assert back.cloud.points == pytest.approx(detection.cloud.points[np.lexsort(detection.cloud.points.T[::-1])])
+    assert back.cloud.points == pytest.approx(detection.cloud.points)
 
 
 def test_without_a_viewpoint_x_of_the_level_frame_is_the_short_side():

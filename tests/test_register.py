@@ -5,9 +5,10 @@ from toy_primitive import random_cup, see, toy_cup_primitive
 
 from gfp_grasp.clouds import estimate_normals, thin
 from gfp_grasp.errors import FitDiverged, InvalidOption, TooFewPoints
+from gfp_grasp.level import make_level_view
 from gfp_grasp.meshes import sample_surface
 from gfp_grasp.metrics import chamfer_m
-from gfp_grasp.register import FitConfig, RefineConfig, fit_primitive, gather_evidence, icp_config, pcrnet_config
+from gfp_grasp.register import FitConfig, RefineConfig, fit_primitive, icp_config, pcrnet_config
 from gfp_grasp.transforms import apply_T, make_T, rotation_about
 from gfp_grasp.types import Detection, OrientedBox, PointCloud, SupportPlane
 
@@ -146,11 +147,13 @@ def test_normals_of_a_sphere_point_at_the_viewer():
 
 def test_space_seen_free_pushes_back_what_stands_in_it():
     _, detection = see(random_cup(np.random.default_rng(6)), 5, with_view=True)
-    silhouette = gather_evidence(detection).silhouette
+    view = make_level_view(detection)
+    silhouette = view.silhouette
     assert silhouette is not None
     assert silhouette.certain
-    centre = detection.cloud.points.mean(axis=0)
-    sideways = np.cross(detection.cloud.viewpoint - centre, (0, 0, 1))
+    centre = view.cloud.points.mean(axis=0)
+    assert view.viewpoint is not None
+    sideways = np.cross(view.viewpoint - centre, (0, 0, 1))
     outside = centre + 0.12 * sideways / np.linalg.norm(sideways)
     index, back = silhouette.free_space_violation(np.array([centre, outside]))
     assert index.tolist() == [1]

@@ -5,10 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial import KDTree
-from toy_wedge import UP, camera_at, positions, toy_evidence, wedge_primitive, wedge_state
+from toy_wedge import camera_at, positions, toy_evidence, wedge_primitive, wedge_state
 
 from gfp_grasp.clouds import estimate_normals, thin
-from gfp_grasp.register import gather_evidence, part_is_seen
+from gfp_grasp.level import make_level_view
+from gfp_grasp.register import part_is_seen
 from gfp_grasp.register.occlusion import cut_off
 from gfp_grasp.register.surface import surface_samples
 from gfp_grasp.transforms import apply_T, invert_T, make_T, rotation_between
@@ -17,10 +18,19 @@ from gfp_grasp.types import (
     DepthImage,
     Detection,
     FittedPrimitive,
+    LevelView,
     OrientedBox,
     PointCloud,
     SupportPlane,
 )
+
+UP = np.array([0.35, -0.2, 1.0]) / np.linalg.norm([0.35, -0.2, 1.0])  # of a table that is not level
+Z = np.array([0.0, 0.0, 1.0])
+
+
+def _here(view: LevelView, points: np.ndarray) -> np.ndarray:
+    """World points in the frame of a level view."""
+    return apply_T(invert_T(view.T_world_level), points)
 
 
 def _detection(points, viewpoint=None, **changes) -> Detection:
@@ -68,18 +78,23 @@ def test_more_of_a_foot_is_out_of_sight_the_steeper_the_view(elevation_deg, hidd
     sideways = np.cross(UP, (1.0, 0, 0)) / np.linalg.norm(np.cross(UP, (1.0, 0, 0)))
     angle = np.deg2rad(elevation_deg)
     viewpoint = points.mean(axis=0) + 1.3 * (np.cos(angle) * sideways + np.sin(angle) * UP)
-    evidence = gather_evidence(_detection(points, viewpoint))
-    assert evidence.floor_m == pytest.approx(0.2 - hidden_m, abs=1e-6)
-    assert gather_evidence(_detection(points)).floor_m == pytest.approx(0.2)
+    for view, expected in (
+        (make_level_view(_detection(points, viewpoint)), 0.2 - hidden_m),
+        (make_level_view(_detection(points)), 0.2),
+    ):
+        lowest = apply_T(view.T_world_level, np.array([0.0, 0.0, view.floor_m]))
+        assert lowest @ UP == pytest.approx(expected, abs=1e-6)
 
 
 def test_a_guessed_floor_is_surer_from_above_than_from_below_and_a_seen_one_alike():
-    guessed = gather_evidence(_detection(_block()))
+    guessed = make_level_view(_detection(_block()))
     assert not guessed.floor_seen
     assert guessed.floor_sigma_m == (0.0015, 0.003)
-    seen = gather_evidence(_detection(_block(), support=SupportPlane(UP, 0.17)))
+    seen = make_level_view(_detection(_block(), support=SupportPlane(UP, 0.17)))
     assert seen.floor_seen
-    assert (seen.floor_m, seen.floor_sigma_m) == (0.17, (0.002, 0.002))
+    assert (seen.floor_m, seen.floor_sigma_m) == (0.0, (0.002, 0.002))
+    assert seen.T_world_level[:3, 3] @ UP == pytest.approx(0.17)  # the origin lies on the support
+    assert seen.T_world_level[:3, 2] == pytest.approx(UP)
 
 
 # ---- points and normals
@@ -92,16 +107,21 @@ def test_evidence_keeps_points_of_the_cloud_with_normals_that_face_the_viewpoint
     centre, viewpoint = np.array([0.4, -0.3, 0.9]), np.array([1.4, 0.3, 1.5])
     facing = directions @ (viewpoint - centre) > 0.07 * np.linalg.norm(viewpoint - centre)
     points = centre + 0.06 * directions[facing]
-    evidence = gather_evidence(_detection(points, viewpoint), num_points=150)
-    assert 150 <= len(evidence.points) <= 180
-    assert KDTree(points).query(evidence.points)[0].max() == 0
-    outward = (evidence.points - centre) / 0.06
+    evidence = make_level_view(_detection(points, viewpoint))
+    assert 400 <= len(evidence.points) <= 480
+    assert 1000 <= len(evidence.dense_points) <= 1200
+    assert KDTree(evidence.dense_points).query(evidence.points)[0].max() == 0
+    assert KDTree(points).query(apply_T(evidence.T_world_level, evidence.dense_points))[0].max() < 1e-12
+    outward = (evidence.points - _here(evidence, centre)) / 0.06
+    nearest = KDTree(evidence.dense_points).query(evidence.points)[1]
+    assert np.array_equal(evidence.normals, evidence.dense_normals[nearest])
     assert np.einsum("ni,ni->n", evidence.normals, outward).min() > 0.98
     assert evidence.oriented
     assert evidence.sigma_m == 0.0021
-    blind = gather_evidence(_detection(points), num_points=150)
+    blind = make_level_view(_detection(points))
     assert not blind.oriented
     assert blind.silhouette is None
+    outward = (blind.points - _here(blind, centre)) / 0.06
     assert np.abs(np.einsum("ni,ni->n", blind.normals, outward)).min() > 0.98
     few = evidence.few(40)
     assert len(few.points) == 40
@@ -134,14 +154,15 @@ def test_a_picture_says_free_only_up_to_what_it_saw_beside_the_object():
     T = camera_at(viewpoint, points.mean(axis=0))
     K = np.array([[60.0, 0, 24], [0, 70.0, 19], [0, 0, 1]])
     detection = _detection(points, viewpoint, view=DepthImage(depth, K, T), mask=mask)
-    silhouette = gather_evidence(detection).silhouette
+    view = make_level_view(detection)
+    silhouette = view.silhouette
     assert silhouette is not None
     assert silhouette.certain
-    assert not silhouette.free_depth_m[mask].any()
+    assert not silhouette.free_range_m[mask].any()
 
     def out(row, column, z) -> bool:
         point = np.array([[(column - 24) * z / 60, (row - 19) * z / 70, z]])
-        return len(silhouette.free_space_violation(apply_T(T, point))[0]) == 1
+        return len(silhouette.free_space_violation(_here(view, apply_T(T, point)))[0]) == 1
 
     assert not out(15, 15, 0.5)
     assert out(15, 25, 1.4)
@@ -150,9 +171,11 @@ def test_a_picture_says_free_only_up_to_what_it_saw_beside_the_object():
     assert out(35, 15, 0.3)
     assert not out(35, 15, 0.5)
     # The way back leads to the nearest pixel of the object: eight columns to the left and five rows up.
-    index, back = silhouette.free_space_violation(apply_T(T, np.array([[(29 - 24) / 60.0, (24 - 19) / 70.0, 1.0]])))
+    index, back = silhouette.free_space_violation(
+        _here(view, apply_T(T, np.array([[(29 - 24) / 60.0, (24 - 19) / 70.0, 1.0]])))
+    )
     assert index.tolist() == [0]
-    assert back[0] @ T[:3, :3] == pytest.approx([-8 / 60, -5 / 70, 0])
+    assert view.T_world_level[:3, :3] @ back[0] @ T[:3, :3] == pytest.approx([-8 / 60, -5 / 70, 0])
 
 
 def test_the_outline_of_a_sparse_cloud_has_no_holes_and_ends_where_the_cloud_ends():
@@ -164,18 +187,15 @@ def test_the_outline_of_a_sparse_cloud_has_no_holes_and_ends_where_the_cloud_end
     T = camera_at(viewpoint, centre)
     distance = float(np.linalg.norm(viewpoint - centre))
     points = apply_T(T, np.column_stack([flat, np.full(len(flat), distance)]))
-    silhouette = gather_evidence(_detection(points, viewpoint)).silhouette
+    view = make_level_view(_detection(points, viewpoint))
+    silhouette = view.silhouette
     assert silhouette is not None
     assert not silhouette.certain
     radius, angle = np.meshgrid(np.linspace(0, 0.057, 40), np.linspace(0, 2 * np.pi, 60))
 
     def on_disc(radius, z=distance):
-        return apply_T(
-            T,
-            np.column_stack(
-                [(radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel(), np.full(radius.size, z)]
-            ),
-        )
+        x, y = (radius * np.cos(angle)).ravel(), (radius * np.sin(angle)).ravel()
+        return _here(view, apply_T(T, np.column_stack([x, y, np.full(radius.size, z)])))
 
     assert len(silhouette.free_space_violation(on_disc(radius))[0]) == 0
     around = on_disc(np.full_like(radius, 0.075))
@@ -185,7 +205,8 @@ def test_the_outline_of_a_sparse_cloud_has_no_holes_and_ends_where_the_cloud_end
     assert len(silhouette.free_space_violation(on_disc(np.full_like(radius, 0.075 * 3), 3 * distance))[0]) == len(
         around
     )
-    inward = (centre - around[index]) / np.linalg.norm(centre - around[index], axis=1, keepdims=True)
+    inward = _here(view, centre) - around[index]
+    inward /= np.linalg.norm(inward, axis=1, keepdims=True)
     assert np.linalg.norm(back, axis=1) == pytest.approx(0.015, abs=0.006)
     assert np.einsum("ni,ni->n", inward, back).min() > 0.008
 
@@ -197,11 +218,11 @@ def test_pixels_are_where_the_camera_sees_points():
     mask = np.zeros((40, 50), dtype=bool)
     mask[5, 6] = True
     detection = _detection(points, viewpoint, view=DepthImage(np.ones((40, 50)), K, T), mask=mask)
-    silhouette = gather_evidence(detection).silhouette
-    assert silhouette is not None
+    view = make_level_view(detection)
+    assert view.silhouette is not None
     seen = apply_T(invert_T(T), points)
-    column, row, z = silhouette.pixels(points)
-    assert z == pytest.approx(seen[:, 2])
+    z = seen[:, 2]
+    column, row = view.silhouette.pixel_of(_here(view, points)).T
     assert column == pytest.approx(60 * seen[:, 0] / z + 24)
     assert row == pytest.approx(70 * seen[:, 1] / z + 19)
 
@@ -210,10 +231,10 @@ def test_pixels_are_where_the_camera_sees_points():
 
 
 def _pillar(side: np.ndarray, *, above_m: float | None = None, below_m: float | None = None):
-    """Evidence of a round pillar along UP, seen from above; its part beyond a plane through the viewpoint is hidden.
+    """The view of a round pillar along UP, seen from above; its part beyond a plane through the viewpoint is hidden.
 
     Returns:
-        The evidence, the outward normal of the plane, and the viewpoint.
+        The level view, and in its frame the outward normal of the plane and the viewpoint.
     """
     R = np.column_stack([side, np.cross(UP, side), UP])
     rng = np.random.default_rng(6)
@@ -229,8 +250,8 @@ def _pillar(side: np.ndarray, *, above_m: float | None = None, below_m: float | 
     shift = np.array([0.3, 0.4, 0.1])
     if above_m is not None or below_m is not None:
         local = local[(local - eye) @ normal < 0]
-    evidence = gather_evidence(_detection(local @ R.T + shift, R @ eye + shift))
-    return evidence, R @ normal, R @ eye + shift
+    evidence = make_level_view(_detection(local @ R.T + shift, R @ eye + shift))
+    return evidence, R @ normal @ evidence.T_world_level[:3, :3], _here(evidence, R @ eye + shift)
 
 
 SIDE = np.cross(UP, (0.2, 1.0, 0.1)) / np.linalg.norm(np.cross(UP, (0.2, 1.0, 0.1)))
@@ -242,9 +263,9 @@ def test_the_straight_edge_of_what_hides_the_top_is_found_with_its_side():
     assert hidden.cut is not None
     assert hidden.cut @ normal > np.cos(np.deg2rad(3))
     assert hidden.floor_sigma_m == evidence.floor_sigma_m  # the foot is seen
-    axis = evidence.points.mean(axis=0)
-    beyond = axis + UP * (0.22 - (axis - np.array([0.3, 0.4, 0.1])) @ UP)
-    beside = axis + 0.09 * np.cross(UP, SIDE)
+    axis, foot = evidence.points.mean(axis=0), _here(evidence, np.array([0.3, 0.4, 0.1]))
+    beyond = axis + Z * (0.22 - (axis - foot) @ Z)
+    beside = axis + 0.09 * np.cross(Z, SIDE @ evidence.T_world_level[:3, :3])
     assert evidence.silhouette.free_space_violation(np.array([beyond, beside]))[0].tolist() == [0, 1]
     assert hidden.silhouette.free_space_violation(np.array([beyond, beside]))[0].tolist() == [1]
     assert hidden.viewpoint == pytest.approx(viewpoint)
@@ -260,7 +281,7 @@ def test_without_a_straight_edge_nothing_is_known_beyond_what_faces_the_viewpoin
     hidden = cut_off(evidence, straight=False)
     assert hidden.cut is None
     axis = evidence.points.mean(axis=0)
-    beyond, beside = axis + 0.14 * UP, axis + 0.09 * np.cross(UP, SIDE)
+    beyond, beside = axis + 0.14 * Z, axis + 0.09 * np.cross(Z, SIDE @ evidence.T_world_level[:3, :3])
     assert hidden.silhouette.free_space_violation(np.array([beyond, beside]))[0].tolist() == [1]
     assert hidden.floor_sigma_m == evidence.floor_sigma_m
 
@@ -281,16 +302,17 @@ def test_a_ball_has_no_straight_edge():
     directions /= np.linalg.norm(directions, axis=1, keepdims=True)
     viewpoint = np.array([1.2, 0.3, 0.7])
     points = 0.05 * directions[directions @ viewpoint > 0.06]
-    evidence = gather_evidence(_detection(points, viewpoint))
+    evidence = make_level_view(_detection(points, viewpoint))
     assert cut_off(evidence).cut is None
 
 
 def _facing_plate(flat: np.ndarray):
-    """Evidence of a flat plate that faces the viewpoint, and the axes of the plate in the world."""
+    """The view of a flat plate that faces the viewpoint, and the axes of the plate in its frame."""
     viewpoint, centre = np.array([0.9, -0.5, 1.1]), np.array([0.1, 0.2, 0.3])
     T = camera_at(viewpoint, centre)
     points = apply_T(T, np.column_stack([flat, np.full(len(flat), np.linalg.norm(viewpoint - centre))]))
-    return gather_evidence(_detection(points, viewpoint)), T[:3, :3]
+    view = make_level_view(_detection(points, viewpoint))
+    return view, view.T_world_level[:3, :3].T @ T[:3, :3]
 
 
 def test_a_straight_edge_is_one_only_where_nothing_lies_beyond_it():

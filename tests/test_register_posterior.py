@@ -8,9 +8,9 @@ from scipy.spatial import KDTree
 
 from gfp_grasp.bench.views import view_object
 from gfp_grasp.detect import detect_single
-from gfp_grasp.observation import canonical_frame
+from gfp_grasp.level import make_level_view
 from gfp_grasp.primitives import load_kinds, load_primitive
-from gfp_grasp.register import FitConfig, RefineConfig, fit_best, fit_primitive, gather_evidence
+from gfp_grasp.register import FitConfig, RefineConfig, fit_best, fit_primitive
 from gfp_grasp.register.occlusion import cut_off
 from gfp_grasp.register.posterior import evaluate_costs, linearise, shape_model
 from gfp_grasp.register.refine import evaluate_states, refine
@@ -18,17 +18,18 @@ from gfp_grasp.register.starts import make_starts
 from gfp_grasp.register.state import StateBatch
 from gfp_grasp.register.terms import circular_share, ellipticity_gram, find_nearest, make_terms
 from gfp_grasp.shapes import make_shape, split_seeds
+from gfp_grasp.transforms import apply_T, invert_T
 
 
 def _detection(category: str, index: int = 0, *, protocol: str = "standard", seed: int = 0):
     mesh = make_shape(category, split_seeds(category, "val")[index]).mesh
     cloud = view_object(mesh, np.random.default_rng(seed), protocol=protocol).cloud
     found = detect_single(cloud.points, viewpoint=cloud.viewpoint, category=category)
-    return canonical_frame(found)[0]
+    return found
 
 
 def test_states_are_refined_side_by_side_as_they_are_alone():
-    primitive, evidence = load_primitive("cup"), gather_evidence(_detection("cup"))
+    primitive, evidence = load_primitive("cup"), make_level_view(_detection("cup"))
     beginnings = make_starts(primitive, evidence, ("upright", "lying"))
     together = refine(beginnings, primitive, evidence)
     alone = [refine([state], primitive, evidence)[0] for state in beginnings]
@@ -40,7 +41,7 @@ def test_states_are_refined_side_by_side_as_they_are_alone():
 
 
 def test_with_few_modes_the_others_stay_at_the_mean():
-    primitive, evidence = load_primitive("cup"), gather_evidence(_detection("cup"))
+    primitive, evidence = load_primitive("cup"), make_level_view(_detection("cup"))
     state = refine(make_starts(primitive, evidence, ("upright",))[:1], primitive, evidence, RefineConfig(num_modes=4))[
         0
     ]
@@ -59,14 +60,14 @@ def test_the_nearest_of_few_samples_is_that_of_a_tree():
 def test_what_the_class_says_worse_than_its_kind_is_the_kinds():
     cup, stemmed = load_kinds("cup")[0], load_primitive("cup.stemmed")
     index = [make_shape("cup", seed).kind for seed in split_seeds("cup", "val")].index("stemmed")
-    evidence = gather_evidence(_detection("cup", index))
+    evidence = make_level_view(_detection("cup", index))
     assert fit_best(evidence, [(cup, 0.0), (stemmed, 2.5)]).primitive is stemmed
     assert fit_best(evidence, [(cup, 0.0), (stemmed, 1e6)]).primitive is cup
 
 
 @pytest.mark.parametrize("ellipticity_m", [None, 0.001])
 def test_the_gradient_of_the_priors_is_that_of_the_cost(ellipticity_m):
-    primitive, evidence = load_primitive("bottle"), gather_evidence(_detection("bottle"))
+    primitive, evidence = load_primitive("bottle"), make_level_view(_detection("bottle"))
     # Without points and free space, whose correspondences jump, the cost is smooth.
     config = RefineConfig(effective_points=1e-9, free_space=False, support=False, ellipticity_m=ellipticity_m)
     state = replace(
@@ -141,25 +142,26 @@ def test_a_cup_behind_a_board_is_completed_to_its_true_width_beyond_the_edge_of_
 
 def test_the_edge_of_what_hides_is_found_and_says_on_which_side():
     detection = _detection("bottle", 1)
-    points, whole = detection.cloud.points, gather_evidence(detection)
+    points, whole = detection.cloud.points, make_level_view(detection)
+    level = apply_T(invert_T(whole.T_world_level), points)
     assert whole.silhouette is not None
-    row = whole.silhouette.pixels(points)[1]
+    row = whole.silhouette.pixel_of(level)[:, 1]
     upper = points[row < np.median(row)]  # a board before the lower half
-    evidence = gather_evidence(replace(detection, cloud=replace(detection.cloud, points=upper), support=None))
+    evidence = make_level_view(replace(detection, cloud=replace(detection.cloud, points=upper), support=None))
     assert evidence.cut is None
     hidden = cut_off(evidence)
     assert hidden.cut is not None
-    assert hidden.cut @ detection.up < -0.7
+    assert hidden.cut[2] < -0.7
     assert np.isinf(hidden.floor_sigma_m[1])  # the foot is on the edge: how far down it goes is not known
     assert hidden.silhouette is not None
     assert evidence.silhouette is not None
-    assert (hidden.silhouette.free_depth_m > 0).sum() < (evidence.silhouette.free_depth_m > 0).sum()
+    assert (hidden.silhouette.free_range_m > 0).sum() < (evidence.silhouette.free_range_m > 0).sum()
 
 
 def test_a_whole_object_is_not_taken_for_cut_off():
     primitive = load_primitive("cup")
     for index in range(4):
-        evidence = gather_evidence(_detection("cup", index))
+        evidence = make_level_view(_detection("cup", index))
         state = refine(make_starts(primitive, evidence, ("upright",))[:1], primitive, evidence)
         config = FitConfig().thorough
         bound, free = (

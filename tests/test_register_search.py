@@ -9,10 +9,11 @@ import torch
 from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
 from toy_primitive import toy_cup_primitive
-from toy_wedge import UP, face_normals, positions, toy_evidence, wedge_primitive, wedge_state
+from toy_wedge import UP, face_normals, positions, toy_evidence, wedge_primitive, wedge_state, with_viewpoint
 
 from gfp_grasp.camera import cast_rays
 from gfp_grasp.errors import FitDiverged
+from gfp_grasp.level import guessed_silhouette
 from gfp_grasp.meshes import sample_surface
 from gfp_grasp.register import FitConfig, RefineConfig, fit_best, icp_config, pcrnet, pcrnet_config, pruning
 from gfp_grasp.register import fit as fit_module
@@ -20,7 +21,7 @@ from gfp_grasp.register.occlusion import blocking_cost, truncation_cost
 from gfp_grasp.register.pruning import Search, distinct_leaders, search_starts, total_cost, within_margin
 from gfp_grasp.register.starts import make_starts
 from gfp_grasp.transforms import rotation_about, rotation_between
-from gfp_grasp.types import Symmetry
+from gfp_grasp.types import TABLETOP, Symmetry
 
 QUICK = RefineConfig(steps=(0.02, 0.015, 0.01, 0.008), num_points=100, num_samples=300)
 LIGHT = FitConfig(
@@ -161,7 +162,8 @@ def test_seen_from_straight_above_the_shortest_side_of_the_points_faces_the_view
     truth = _wedge_standing(R)
     points, normals = _surface(truth, primitive)
     for viewpoint in (None, points.mean(axis=0) + 2.0 * UP):
-        state = make_starts(primitive, toy_evidence(points, normals, viewpoint=viewpoint), ("upright",))[0]
+        view = toy_evidence(points, normals, viewpoint=viewpoint, oriented=viewpoint is not None)
+        state = make_starts(primitive, view, ("upright",))[0]
         assert state.R[:, 2] == pytest.approx(UP)
         assert abs(state.R[:, 0] @ R[:, 1]) > 0.95  # the wedge is 12 cm along x and 8 along y
 
@@ -224,7 +226,7 @@ def test_a_surface_pays_for_each_point_that_it_hides():
     evidence = toy_evidence(_off_points(state, viewpoint, depths), viewpoint=viewpoint)
     cost = blocking_cost(state, wedge_primitive(), evidence, config)
     assert cost == pytest.approx(0.5 * 70 * 0.4 * 0.005**2 / (0.0013**2 + 0.002**2), rel=1e-9)
-    assert blocking_cost(state, wedge_primitive(), replace(evidence, viewpoint=None), config) == 0
+    assert blocking_cost(state, wedge_primitive(), with_viewpoint(evidence, None), config) == 0
 
 
 @pytest.mark.parametrize(("beyond", "cost"), [(0.0, 30.0), (0.075, 15.0), (0.15, 0.0), (0.6, 0.0)])
@@ -386,9 +388,7 @@ def test_points_that_no_start_explains_diverge_by_the_name_of_the_class_and_the_
 def test_only_a_guessed_outline_is_taken_for_cut_off(monkeypatch):
     calls = []
     _, evidence = _half_seen_wedge()
-    from gfp_grasp.register.evidence import _silhouette_of_points
-
-    silhouette = _silhouette_of_points(evidence.points, evidence.viewpoint, UP)
+    silhouette = guessed_silhouette(evidence.points, evidence.viewpoint, TABLETOP)
     guessed = replace(evidence, silhouette=silhouette)
     monkeypatch.setattr(fit_module, "cut_off", lambda seen, *, straight: calls.append(straight) or seen)
     config = replace(LIGHT, hypotheses=("upright",))

@@ -21,6 +21,7 @@ from toy_wedge import (
     toy_evidence,
     wedge_primitive,
     wedge_state,
+    with_viewpoint,
 )
 
 from gfp_grasp.register import RefineConfig
@@ -138,10 +139,11 @@ def test_a_point_belongs_to_the_side_of_a_thin_wall_that_its_normal_tells():
     away = world[index] - 0.002 * normals[index]
     # Known normals choose; with unknown signs the point lies on the side that is nearer all the same.
     for oriented in (True, False):
-        evidence = toy_evidence(away, -normals[index] if not oriented else normals[index], oriented=oriented)
+        given = normals[index] if oriented else -normals[index]
+        evidence = toy_evidence(away, given, viewpoint=state.t + 3 * toward if oriented else None, oriented=oriented)
         (judged,) = evaluate_states([state], primitive, evidence, replace(POINTS, steps=(ROBUST_M,)))
         assert judged.residual_m == pytest.approx(0.002, rel=1e-6)
-    evidence = toy_evidence(away, -normals[index], oriented=True)
+    evidence = toy_evidence(away, -normals[index], viewpoint=state.t + 3 * toward)
     (judged,) = evaluate_states([state], primitive, evidence, replace(POINTS, steps=(ROBUST_M,)))
     assert judged.residual_m > 0.005
 
@@ -180,7 +182,8 @@ def test_a_normal_agrees_within_sixty_degrees(angle_deg, agrees, oriented):
         .T
     )
     evidence = toy_evidence(world[index], turned if oriented else -turned, oriented=oriented)
-    cost, _, _ = _term(state, replace(evidence, viewpoint=state.t + 5 * normals[0]), POINTS, PRIORS)
+    seen = with_viewpoint(evidence, state.t + 5 * normals[0]) if oriented else evidence
+    cost, _, _ = _term(state, seen, POINTS, PRIORS)
     full = 0.5 * 150.0 / (0.0013**2 + 0.0009**2) * ROBUST_M**2
     assert cost < 0.7 * full if agrees else cost == pytest.approx(full, rel=1e-9)
 
@@ -191,10 +194,10 @@ def test_a_normal_agrees_within_sixty_degrees(angle_deg, agrees, oriented):
 SEEN_EMPTY = replace(PRIORS, effective_points=90.0, free_space=True, silhouette_m=(0.003, 0.005))
 
 
-def _picture(*, certain: bool, free_depth_m: float = np.inf):
+def _picture(*, certain: bool, free_range_m: float = np.inf):
     state = wedge_state()
     camera = camera_at(state.t + np.array([0.1, -0.5, 0.4]), state.t)
-    silhouette = corner_silhouette(camera, corner=(60, 66), free_depth_m=free_depth_m, certain=certain)
+    silhouette = corner_silhouette(camera, corner=(60, 66), free_range_m=free_range_m, certain=certain)
     evidence = toy_evidence(np.tile(state.t + 5.0, (20, 1)), silhouette=silhouette)
     return state, camera, silhouette, evidence
 
@@ -202,12 +205,12 @@ def _picture(*, certain: bool, free_depth_m: float = np.inf):
 def _ways_back(state, camera, silhouette) -> tuple[np.ndarray, np.ndarray]:
     """Samples that stand in free space, and the way of each to the object's pixels, at its own depth."""
     seen = (positions(state, wedge_primitive()) - camera[:3, 3]) @ camera[:3, :3]
-    column = np.rint(silhouette.K[0, 0] * seen[:, 0] / seen[:, 2] + silhouette.K[0, 2])
-    row = np.rint(silhouette.K[1, 1] * seen[:, 1] / seen[:, 2] + silhouette.K[1, 2])
+    column = np.rint(silhouette.view.K[0, 0] * seen[:, 0] / seen[:, 2] + silhouette.view.K[0, 2])
+    row = np.rint(silhouette.view.K[1, 1] * seen[:, 1] / seen[:, 2] + silhouette.view.K[1, 2])
     shift = np.column_stack(
         [
-            np.minimum(66 - column, 0) * seen[:, 2] / silhouette.K[0, 0],
-            np.minimum(60 - row, 0) * seen[:, 2] / silhouette.K[1, 1],
+            np.minimum(66 - column, 0) * seen[:, 2] / silhouette.view.K[0, 0],
+            np.minimum(60 - row, 0) * seen[:, 2] / silhouette.view.K[1, 1],
             np.zeros(len(seen)),
         ]
     )
@@ -245,14 +248,14 @@ def test_two_states_each_pay_for_their_own_free_space():
 
 
 def test_an_occluder_before_the_surface_leaves_no_free_space():
-    state, camera, silhouette, evidence = _picture(certain=True, free_depth_m=0.2)
+    state, camera, silhouette, evidence = _picture(certain=True, free_range_m=0.2)
     assert len(_ways_back(state, camera, silhouette)[0]) > 0
     assert _term(state, evidence, SEEN_EMPTY, replace(SEEN_EMPTY, free_space=False))[0] == 0.0
 
 
 @pytest.mark.parametrize(("in_front_m", "out"), [(0.003, False), (0.010, True)])
 def test_a_point_just_before_a_return_may_be_noise(in_front_m, out):
-    silhouette = corner_silhouette(np.eye(4), corner=(60, 66), free_depth_m=0.8)
+    silhouette = corner_silhouette(np.eye(4), corner=(60, 66), free_range_m=0.8)
     z = 0.8 - in_front_m
     point = np.array([[(100 - 70.3) * z / 150.0, 0.0, z]])
     index, back = silhouette.free_space_violation(point)

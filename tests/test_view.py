@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gfp_grasp.camera import backproject
 from gfp_grasp.captures import read_capture
 from gfp_grasp.cli.show import view
 from gfp_grasp.envs import GfpGraspEnv
@@ -137,7 +136,7 @@ def test_scene_s_points_belong_to_cluster_or_support(shown: ShownScene) -> None:
     points, labels = scene_cloud(shown.image, [completion], max_points=10**6)
     assert completion.detection.mask is not None
     assert completion.detection.support is not None
-    own = backproject(shown.image)[completion.detection.mask]
+    own = shown.image.points()[completion.detection.mask]
     own = own[np.isfinite(own).all(axis=1)]
     np.testing.assert_array_equal(points[labels == 0], own)
     assert np.abs(completion.detection.support.distances(points[labels == SUPPORT])).max() < 0.02

@@ -1,12 +1,22 @@
 """Bodies without any symmetry, fits of them that stand askew, and detections that are cut from them."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import trimesh
 
-from gfp_grasp.transforms import apply_T, make_T, rotation_about
-from gfp_grasp.types import Detection, FittedPrimitive, GenericPrimitive, OrientedBox, PointCloud, Symmetry
+from gfp_grasp.level import make_level_view
+from gfp_grasp.transforms import apply_T, invert_T, make_T, rotation_about
+from gfp_grasp.types import (
+    Detection,
+    FittedPrimitive,
+    GenericPrimitive,
+    LevelView,
+    OrientedBox,
+    PointCloud,
+    Symmetry,
+)
 
 T_WORLD_OBJECT = make_T(rotation_about((1.0, 2.0, 3.0), 1.1), (0.4, -0.7, 0.9))
 NO_SYMMETRY = Symmetry(np.array([0.0, 0.0, 1.0]), 1)
@@ -71,6 +81,27 @@ def detection_of(points, viewpoint=None, *, T: np.ndarray = T_WORLD_OBJECT, sens
         scores={"toy": 1.0},
         box=OrientedBox(make_T(None, points.mean(axis=0)), np.ptp(points, axis=0)),
         sensor_sigma_m=sensor_sigma_m,
+    )
+
+
+def view_of(points, viewpoint=None, *, sensor_sigma_m: float = 0.001) -> LevelView:
+    """What was seen of points (n, 3) m and a viewpoint in the object's frame, in the frame of `fit_of`."""
+    view = make_level_view(detection_of(points, viewpoint, sensor_sigma_m=sensor_sigma_m))
+    return moved_view(view, view.T_world_level)
+
+
+def moved_view(view: LevelView, T: np.ndarray) -> LevelView:
+    """A view in another frame, which is level no more and has no silhouette: the deformation does not ask."""
+    place = view.viewpoint
+    return replace(
+        view,
+        T_world_level=view.T_world_level @ invert_T(T),
+        cloud=PointCloud(apply_T(T, view.cloud.points), None if place is None else apply_T(T, place)),
+        dense_points=apply_T(T, view.dense_points),
+        dense_normals=view.dense_normals @ T[:3, :3].T,
+        points=apply_T(T, view.points),
+        normals=view.normals @ T[:3, :3].T,
+        silhouette=None,
     )
 
 

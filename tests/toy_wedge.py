@@ -1,20 +1,29 @@
 """A wedge without any symmetry, with modes, and what a made-up sensor says of it: for answers known by hand."""
 
+from dataclasses import replace
 from functools import lru_cache
 
 import numpy as np
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from gfp_grasp.register.evidence import Evidence, Silhouette
 from gfp_grasp.register.state import PoseShape
 from gfp_grasp.register.surface import surface_samples
-from gfp_grasp.transforms import invert_T, make_T
-from gfp_grasp.types import OUTSIDE, GenericPrimitive, Symmetry
+from gfp_grasp.transforms import make_T
+from gfp_grasp.types import (
+    OUTSIDE,
+    TABLETOP,
+    DepthImage,
+    GenericPrimitive,
+    LevelView,
+    PointCloud,
+    Silhouette,
+    Symmetry,
+)
 
 NUM_SAMPLES = 60
 NUM_MODES = 3
-UP = np.array([0.35, -0.2, 1.0]) / np.linalg.norm([0.35, -0.2, 1.0])
+UP = np.array([0.0, 0.0, 1.0])  # as in every level view
 
 
 @lru_cache(maxsize=1)
@@ -92,28 +101,48 @@ def derivative(function, state: PoseShape, *, size: float = 1e-6) -> np.ndarray:
     )
 
 
-def toy_evidence(points: np.ndarray, normals: np.ndarray | None = None, **changes: object) -> Evidence:
-    """Evidence of points (n, 3), without a floor or a view unless told."""
+def toy_evidence(
+    points: np.ndarray,
+    normals: np.ndarray | None = None,
+    *,
+    viewpoint: np.ndarray | None = None,
+    oriented: bool = True,
+    **changes: object,
+) -> LevelView:
+    """A level view of points (n, 3), without a floor or a silhouette unless told.
+
+    Where normals are oriented and no viewpoint is told, it is far away.
+    """
+    normals = np.tile(UP, (len(points), 1)) if normals is None else normals
+    if viewpoint is None and oriented:
+        viewpoint = np.array([500.0, 300.0, 400.0])
     values: dict[str, object] = {
+        "T_world_level": np.eye(4),
+        "cloud": PointCloud(points, viewpoint),
+        "dense_points": points,
+        "dense_normals": normals,
         "points": points,
-        "normals": np.tile(UP, (len(points), 1)) if normals is None else normals,
-        "oriented": True,
-        "viewpoint": None,
-        "up": UP,
+        "normals": normals,
         "floor_m": 0.0,
         "floor_sigma_m": (0.002, 0.002),
         "floor_seen": True,
         "silhouette": None,
+        "sensor": TABLETOP,
         "sigma_m": 0.0013,
     }
-    return Evidence(**{**values, **changes})  # type: ignore[arg-type]
+    return LevelView(**{**values, **changes})  # type: ignore[arg-type]
+
+
+def with_viewpoint(view: LevelView, viewpoint: np.ndarray | None) -> LevelView:
+    """The same view from another place, or from none."""
+    return replace(view, cloud=PointCloud(view.cloud.points, viewpoint))
 
 
 def corner_silhouette(
     T_world_camera: np.ndarray,
     *,
     corner: tuple[int, int],
-    free_depth_m: float | np.ndarray = np.inf,
+    free_range_m: float | np.ndarray = np.inf,
     certain: bool = True,
     shape: tuple[int, int] = (120, 160),
     K: np.ndarray = np.array([[150.0, 0.0, 70.3], [0.0, 190.0, 55.6], [0.0, 0.0, 1.0]]),
@@ -122,8 +151,9 @@ def corner_silhouette(
     row, column = np.indices(shape)
     inside = (row <= corner[0]) & (column <= corner[1])
     offset = np.stack([np.minimum(corner[0] - row, 0), np.minimum(corner[1] - column, 0)]).astype(np.float64)
-    free = np.where(inside, 0.0, free_depth_m)
-    return Silhouette(K, invert_T(T_world_camera), free, certain, offset)
+    free = np.where(inside, 0.0, free_range_m)
+    view = DepthImage(np.zeros(shape), K, T_world_camera)
+    return Silhouette(view, free, certain, offset, margin_m=0.006)
 
 
 def camera_at(viewpoint: np.ndarray, target: np.ndarray, roll_rad: float = 0.4) -> np.ndarray:

@@ -25,8 +25,9 @@ from gfp_grasp.complete import complete_to_mesh
 from gfp_grasp.detect import detect_single
 from gfp_grasp.envs import GfpGraspEnv
 from gfp_grasp.errors import InvalidOption
+from gfp_grasp.level import make_level_view
 from gfp_grasp.primitives import load_primitive
-from gfp_grasp.register import FitConfig, fit_best, gather_evidence, icp_config, pcrnet_config
+from gfp_grasp.register import FitConfig, fit_best, icp_config, pcrnet_config
 from gfp_grasp.scenes import label_of, load_objects
 from gfp_grasp.types import PointCloud
 
@@ -154,7 +155,7 @@ def _figures(laps: list[dict[str, float]]) -> dict[str, Any]:
 def _registrations(clouds: list[tuple[str, PointCloud]]) -> dict[str, float]:
     """Median milliseconds from evidence to a fit, class given."""
     found = [
-        (load_primitive(category), gather_evidence(detect_single(c.points, viewpoint=c.viewpoint, category=category)))
+        (load_primitive(category), make_level_view(detect_single(c.points, viewpoint=c.viewpoint, category=category)))
         for category, c in clouds
     ]
     configs: dict[str, FitConfig] = {"icp": icp_config(), "pcrnet": pcrnet_config(), "registration": FitConfig()}

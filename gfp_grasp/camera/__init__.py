@@ -8,16 +8,17 @@ from typing import TYPE_CHECKING
 from gfp_grasp.camera.cast import cast_rays, render_mesh_view
 from gfp_grasp.camera.organised import view_from_points
 from gfp_grasp.camera.pinhole import (
-    backproject,
     camera_points,
     cloud_of,
     intrinsics,
+    mask_of_points,
     pixel_rays,
-    project,
+    pixels_of,
     surface_normals,
 )
 from gfp_grasp.camera.sensor import SensorModel, apply_sensor
 from gfp_grasp.camera.views import sample_viewpoint
+from gfp_grasp.camera.visibility import visible_points
 
 if TYPE_CHECKING:
     from gfp_grasp.camera.render import render_depth
@@ -25,18 +26,19 @@ if TYPE_CHECKING:
 __all__ = [
     "SensorModel",
     "apply_sensor",
-    "backproject",
     "camera_points",
     "cast_rays",
     "cloud_of",
     "intrinsics",
+    "mask_of_points",
     "pixel_rays",
-    "project",
+    "pixels_of",
     "render_depth",
     "render_mesh_view",
     "sample_viewpoint",
     "surface_normals",
     "view_from_points",
+    "visible_points",
 ]
 
 

@@ -1,11 +1,10 @@
 """Pinhole geometry: pixel (u, v) sees direction ((u - cx) / fx, (v - cy) / fy, 1); pixel centres are whole numbers."""
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from gfp_grasp.errors import InvalidOption, InvalidView
-from gfp_grasp.transforms import apply_T, invert_T
-from gfp_grasp.types import DepthImage, PointCloud
+from gfp_grasp.transforms import invert_T
+from gfp_grasp.types import DepthImage, PointCloud, View
 
 
 def intrinsics(width: int, height: int, fov_y_deg: float) -> np.ndarray:
@@ -27,58 +26,32 @@ def intrinsics(width: int, height: int, fov_y_deg: float) -> np.ndarray:
 
 def pixel_rays(K: np.ndarray, width: int, height: int) -> np.ndarray:
     """Directions (h, w, 3) in the camera frame, z = 1: depth times direction is the point."""
-    u, v = np.meshgrid(np.arange(width, dtype=np.float64), np.arange(height, dtype=np.float64))
-    y = (v - K[1, 2]) / K[1, 1]
-    x = (u - K[0, 2] - K[0, 1] * y) / K[0, 0]
-    return np.stack([x, y, np.ones_like(x)], axis=-1)
-
-
-def project(points: ArrayLike, K: np.ndarray, T_world_camera: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Pixels of world points.
-
-    Args:
-        points: (..., 3) m, world frame.
-        K: (3, 3) px.
-        T_world_camera: (4, 4).
-
-    Returns:
-        Pixels (..., 2), u then v, NaN for points that are not in front of the camera; and depths (...) m.
-    """
-    local = apply_T(invert_T(T_world_camera), np.asarray(points, dtype=np.float64))
-    depth = local[..., 2]
-    pixels = (local @ K.T)[..., :2] / np.where(depth > 0, depth, np.nan)[..., None]
-    return pixels, depth
+    camera = DepthImage(np.zeros((height, width)), K, np.eye(4))
+    return camera.unproject(np.stack(np.meshgrid(np.arange(width), np.arange(height)), axis=-1), 1.0)
 
 
 def camera_points(image: DepthImage) -> np.ndarray:
     """(h, w, 3) float64 m, camera frame, NaN where nothing came back."""
-    height, width = image.depth_m.shape
-    depth = np.where(image.depth_m > 0, image.depth_m.astype(np.float64), np.nan)
-    return pixel_rays(image.K, width, height) * depth[..., None]
+    return image.moved(invert_T(image.T_world_camera)).points()
 
 
-def backproject(image: DepthImage) -> np.ndarray:
-    """(h, w, 3) float64 m, world frame, NaN where nothing came back."""
-    return apply_T(image.T_world_camera, camera_points(image))
-
-
-def cloud_of(image: DepthImage, mask: np.ndarray | None = None) -> PointCloud:
-    """World-frame cloud of the pixels that came back, with the camera's place as its viewpoint.
+def cloud_of(view: View, mask: np.ndarray | None = None) -> PointCloud:
+    """World-frame cloud of the pixels that came back, with the sensor's place as its viewpoint.
 
     Args:
-        image: The depth picture.
+        view: A depth picture or a range image.
         mask: (h, w) bool, the pixels to keep; None keeps all.
 
     Raises:
-        InvalidView: The mask is not of the picture's size.
+        InvalidView: The mask is not of the view's size.
     """
-    keep = image.depth_m > 0
+    keep = view.free_range_m > 0
     if mask is not None:
         mask = np.asarray(mask, dtype=bool)
         if mask.shape != keep.shape:
-            raise InvalidView(f"mask has shape {mask.shape}; the picture's {keep.shape} is expected")
+            raise InvalidView(f"mask has shape {mask.shape}; the view's {keep.shape} is expected")
         keep = keep & mask
-    return PointCloud(backproject(image)[keep], image.T_world_camera[:3, 3])
+    return PointCloud(view.points()[keep], view.viewpoint)
 
 
 def surface_normals(image: DepthImage, *, max_jump_m: float = 0.01) -> np.ndarray:
@@ -108,3 +81,33 @@ def _difference(points: np.ndarray, axis: int, max_jump_m: float) -> np.ndarray:
     ahead, behind = np.concatenate([step, gap], axis=axis), np.concatenate([gap, step], axis=axis)
     lone = np.where(np.isnan(ahead), behind, ahead)
     return np.where(np.isnan(ahead) | np.isnan(behind), lone, (ahead + behind) / 2)
+
+
+def pixels_of(points: np.ndarray, view: View) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The pixels of a view that points fall on.
+
+    Args:
+        points: (n, 3) m, world.
+        view: The view.
+
+    Returns:
+        Index (m,) of the points that fall on a pixel, the flat index (m,) of that pixel in (h, w), and the points'
+        ranges (m,) m.
+    """
+    pixels, range_m = view.project(points)
+    height, width = view.shape
+    with np.errstate(invalid="ignore"):
+        column, row = np.rint(pixels).T
+        inside = np.flatnonzero((row >= 0) & (row < height) & (column >= 0) & (column < width))
+    flat = (row[inside] * width + column[inside]).astype(np.int64)
+    return inside, flat, range_m[inside]
+
+
+def mask_of_points(points: np.ndarray, view: View, *, tolerance_m: float) -> np.ndarray:
+    """(h, w) bool: pixels of a view in which points (n, 3) m, world, lie, within a tolerance of the range it saw."""
+    _, pixel, range_m = pixels_of(points, view)
+    seen = view.free_range_m.ravel()[pixel]
+    agrees = (seen > 0) & (np.abs(seen - range_m) < tolerance_m)
+    mask = np.zeros(view.free_range_m.size, dtype=bool)
+    mask[pixel[agrees]] = True
+    return mask.reshape(view.shape)

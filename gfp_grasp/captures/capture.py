@@ -7,13 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 import trimesh
 
-from gfp_grasp.camera import project
 from gfp_grasp.complete import CompleteConfig, Completion, complete_scene, complete_to_mesh
 from gfp_grasp.errors import InvalidCloud
 from gfp_grasp.types import DepthImage
-
-# A pixel belongs to the object if its depth is that of an object's point this closely: well above a sensor's rounding.
-_SAME_DEPTH_M = 0.006
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,34 +60,15 @@ def complete_capture(
     if capture.points is None:
         assert capture.view is not None
         return complete_scene(capture.view, up=capture.up, config=config, seed=seed)
-    mask = capture.mask
-    if mask is None and capture.view is not None:
-        mask = mask_of_points(capture.points, capture.view)
     completion = complete_to_mesh(
         capture.points,
         viewpoint=capture.viewpoint,
         up=capture.up,
         support_height=capture.support_height,
         view=capture.view,
-        mask=mask,
+        mask=capture.mask,
         category=category,
         config=config,
         seed=seed,
     )
     return (completion,)
-
-
-def mask_of_points(points: np.ndarray, view: DepthImage) -> np.ndarray:
-    """(h, w) bool, the pixels of a view that saw the given points (n, 3) m, world frame."""
-    pixels, depth = project(points, view.K, view.T_world_camera)
-    height, width = view.depth_m.shape
-    inside = np.isfinite(pixels).all(axis=1)
-    u, v = np.zeros(len(pixels), dtype=int), np.zeros(len(pixels), dtype=int)
-    u[inside], v[inside] = np.round(pixels[inside]).astype(int).T
-    inside &= (u >= 0) & (u < width) & (v >= 0) & (v < height)
-    u, v, depth = u[inside], v[inside], depth[inside]
-    seen = view.depth_m[v, u]
-    same = (seen > 0) & (np.abs(seen - depth) < _SAME_DEPTH_M)
-    mask = np.zeros((height, width), dtype=bool)
-    mask[v[same], u[same]] = True
-    return mask

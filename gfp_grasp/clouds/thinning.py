@@ -6,6 +6,11 @@ import numpy as np
 
 
 def thin(points: np.ndarray, count: int) -> np.ndarray:
+    """At most about count of (n, 3) points, as `thin_index` chooses them."""
+    return points[thin_index(points, count)]
+
+
+def thin_index(points: np.ndarray, count: int) -> np.ndarray:
     """At most about count points, at most one to a cell of a grid, whatever the order they come in.
 
     Args:
@@ -13,10 +18,10 @@ def thin(points: np.ndarray, count: int) -> np.ndarray:
         count: Aimed at; the grid is refined until the number of cells is near it.
 
     Returns:
-        (m, 3) of the given points, m <= 1.2 * count, each the nearest to its cell's mean.
+        Index (m,) of the points, m <= 1.2 * count, each the nearest to its cell's mean.
     """
     if len(points) <= count:
-        return points
+        return np.arange(len(points))
     origin = points.min(axis=0)
     low, high = 1e-5, float(np.ptp(points, axis=0).max()) + 1e-9
     size, cells = high / np.sqrt(count), np.empty(0)
@@ -40,7 +45,7 @@ def thin(points: np.ndarray, count: int) -> np.ndarray:
     near = np.flatnonzero(distance == least[inverse])
     x, y, z = points[near].T
     order = near[np.lexsort((z, y, x, inverse[near]))]
-    return points[order[np.searchsorted(inverse[order], np.arange(len(counts)))]]
+    return order[np.searchsorted(inverse[order], np.arange(len(counts)))]
 
 
 def _cell_ids(points: np.ndarray, origin: np.ndarray, size: float) -> np.ndarray:

@@ -10,7 +10,7 @@ import numpy as np
 import trimesh
 
 from gfp_grasp.completion import Completion
-from gfp_grasp.observation import mark_observed
+from gfp_grasp.level import mark_observed
 from gfp_grasp.types import CollisionMesh, CompletedShape, Detection
 
 Completer = Callable[[Detection], Completion]
@@ -35,5 +35,11 @@ class CompletionInParts(Completion):
 def mark_shape(mesh: trimesh.Trimesh, detection: Detection) -> CompletedShape:
     """A mesh in the world frame as a completed shape: which vertices were observed, and a rough sigma for each."""
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
-    observed, sigma = mark_observed(vertices, faces, detection, np.full(len(vertices), np.nan))
+    observed, sigma = mark_observed(
+        vertices,
+        faces,
+        detection.cloud,
+        sensor_sigma_m=detection.sensor_sigma_m,
+        sigma_m=np.full(len(vertices), np.nan),
+    )
     return CompletedShape(mesh, observed, sigma)

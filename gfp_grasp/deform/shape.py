@@ -16,7 +16,7 @@ from gfp_grasp.deform.template import template_points
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.parallel import one_thread
 from gfp_grasp.transforms import apply_T, invert_T
-from gfp_grasp.types import Detection, FittedPrimitive
+from gfp_grasp.types import FittedPrimitive, LevelView
 
 # The longest offset of a single point that is believed, in units of `patch_unit_m`: 2 mm on a cup. On the validation
 # split most offsets are shorter; longer ones, on shapes unlike those learnt, lose more than they win.
@@ -65,23 +65,23 @@ class Deformed:
     kept: float
 
 
-def deform(fit: FittedPrimitive, detection: Detection, *, config: DeformConfig = DeformConfig()) -> Deformed:
+def deform(fit: FittedPrimitive, view: LevelView, *, config: DeformConfig = DeformConfig()) -> Deformed:
     """Deform a fitted primitive onto the observation.
 
     Args:
         fit: Registered primitive whose own surface does not cross itself.
-        detection: The observation, world frame.
+        view: The observation, in the frame of the fit.
         config: Method and its switches.
 
     Returns:
-        The deformed vertices in the world frame.
+        The deformed vertices in that frame.
     """
     primitive = fit.primitive
     vertices = primitive.shape(fit.coefficients, fit.scale)
     unknown = np.full(len(vertices), np.nan)
     if config.method == "none":
         return Deformed(fit.vertices_world(), unknown, 1.0)
-    template = template_points(fit, detection, symmetry=config.symmetry and config.method != "gfpnet-paper")
+    template = template_points(fit, view, symmetry=config.symmetry and config.method != "gfpnet-paper")
     sigma = unknown
     if config.method == "gfs":
         displacement = (
@@ -96,8 +96,7 @@ def deform(fit: FittedPrimitive, detection: Detection, *, config: DeformConfig =
             - vertices
         )
     else:
-        viewpoint = detection.cloud.viewpoint
-        here = None if viewpoint is None else apply_T(invert_T(fit.T_world_object), viewpoint)
+        here = None if view.viewpoint is None else apply_T(invert_T(fit.T_world_object), view.viewpoint)
         patches = make_patches(primitive, vertices, template, here)
         if config.method == "gfpnet":
             offsets, log_sigma, field = _per_point(patches, fit)

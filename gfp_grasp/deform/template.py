@@ -7,10 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import KDTree
 
-from gfp_grasp.clouds import estimate_normals, thin
 from gfp_grasp.deform.layout import patch_unit_m
 from gfp_grasp.meshes import vertex_normals
-from gfp_grasp.types import Detection, FittedPrimitive, GenericPrimitive
+from gfp_grasp.types import FittedPrimitive, GenericPrimitive, LevelView
 
 # A mirrored point speaks only where nothing was observed, and near the fit: elsewhere the symmetry is broken. Both in
 # units of `patch_unit_m`.
@@ -35,9 +34,7 @@ class TemplatePoints:
     mirrored: np.ndarray
 
 
-def template_points(
-    fit: FittedPrimitive, detection: Detection, *, symmetry: bool = True, num_points: int = 1000
-) -> TemplatePoints:
+def template_points(fit: FittedPrimitive, view: LevelView, *, symmetry: bool = True) -> TemplatePoints:
     """Observed points with normals in the fit's own frame, and their mirror images where nothing was seen.
 
     A round or oval body is its own mirror image in both upright planes through its axis; a part beside the axis, as a
@@ -45,18 +42,14 @@ def template_points(
 
     Args:
         fit: Registered primitive.
-        detection: One object.
+        view: One object, in the frame of the fit.
         symmetry: Carry points to the hidden side.
-        num_points: About how many observed points are kept.
     """
-    dense = thin(detection.cloud.points, 4000)
-    seen = thin(dense, num_points)
-    normals = estimate_normals(dense, seen, detection.cloud.viewpoint)
     R, t = fit.T_world_object[:3, :3], fit.T_world_object[:3, 3]
-    points, normals = (seen - t) @ R, normals @ R
+    points, normals = (view.dense_points - t) @ R, view.dense_normals @ R
     vertices = fit.primitive.shape(fit.coefficients, fit.scale)
     surface = KDTree(vertices)
-    if detection.cloud.viewpoint is None:
+    if not view.oriented:
         normals = _outward(points, normals, vertices, surface, fit.primitive.faces)
     images = [TemplatePoints(points, normals, np.zeros(len(points), dtype=bool))]
     if symmetry:

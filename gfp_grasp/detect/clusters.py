@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-
 import numpy as np
 from scipy import ndimage
 from scipy.sparse import coo_matrix
@@ -12,46 +10,24 @@ from scipy.spatial import KDTree
 from sklearn.cluster import DBSCAN
 
 from gfp_grasp.clouds import voxel_grid
-from gfp_grasp.detect.concavity import concavity
-from gfp_grasp.detect.merging import MergeConfig, merge_pieces
-from gfp_grasp.errors import InvalidOption
-from gfp_grasp.types import SupportPlane
+from gfp_grasp.detect.concavity import ARM, concavity
+from gfp_grasp.detect.merging import merge_pieces
+from gfp_grasp.types import TABLETOP, SensorProfile, SupportPlane
 
+# Multiples of the sensor's noise:
+_FLOOR = 4.0  # height above the support from which a point belongs to an object
+_JUMP = 8 / 3  # depth step between neighbouring pixels that parts surfaces, at the camera
+_GAP = 8.0  # bare points farther apart than this are two clusters
+VOXEL = 2.0  # grid on which bare points are clustered: below a handle's thickness
+_NEAR = 10.0  # pixels of a crease join a piece within this distance
 
-@dataclass(frozen=True)
-class ClusterConfig:
-    """How what stands on the table is told apart.
-
-    Attributes:
-        floor_m: Height above the support from which a point belongs to an object, m.
-        jump_m: Depth step between neighbouring pixels that parts surfaces, m at the camera, growing by
-        jump_per_m: m per metre of depth.
-        max_concavity: Dip of the surface under a chord, over the chord's length, that parts two bodies; a right
-            angle has 0.5, the inside of a cup 0.1 (see concavity.py).
-        gap_m: Bare points farther apart than this are two clusters, m.
-        min_area_m2: Surface of the smallest object that counts.
-        max_object_m: Wider clusters are walls or furniture, not objects.
-        merge: Which pieces belong together again.
-    """
-
-    floor_m: float = 0.006
-    jump_m: float = 0.004
-    jump_per_m: float = 0.01
-    max_concavity: float = 0.2
-    gap_m: float = 0.012
-    min_area_m2: float = 8e-4
-    max_object_m: float = 0.6
-    merge: MergeConfig = field(default_factory=MergeConfig)
-
-    def __post_init__(self) -> None:
-        for name in ("floor_m", "jump_m", "max_concavity", "gap_m", "min_area_m2", "max_object_m"):
-            if getattr(self, name) <= 0:
-                raise InvalidOption(f"{name} is {getattr(self, name)}; a positive number is expected")
-
-
+_JUMP_PER_M = 0.01  # that the depth step grows by for each metre of depth
+_MAX_CONCAVITY = 0.2  # dip of the surface under a chord, over the chord's length, that parts two bodies: a right angle
+# has 0.5, the inside of a cup 0.1 (see concavity.py)
+_MIN_AREA = 3.56  # surface of the smallest object that counts, in squares of the sensor's smallest
+_MAX_WIDTH = 0.4  # wider clusters are walls or furniture, not objects; in the sensor's largest
 _MIN_PIECE_PX = 25  # fewer pixels or voxels are flying ones
 _CREASE_PX = 4  # a crease's ends stop short of the silhouette, where chords break
-_VOXEL_M = 0.003  # grid on which bare points are clustered: below a handle's thickness
 _NEIGHBOURS = 4  # on that grid, that an inner point of a surface has
 
 
@@ -61,7 +37,7 @@ def label_picture(
     eye: np.ndarray,
     focal_px: float,
     *,
-    config: ClusterConfig = ClusterConfig(),
+    sensor: SensorProfile = TABLETOP,
 ) -> np.ndarray:
     """Objects of an organised picture.
 
@@ -72,71 +48,72 @@ def label_picture(
         support: What they stand on, same frame.
         eye: (3,) m, the camera.
         focal_px: Focal length.
-        config: Thresholds.
+        sensor: Its noise and sizes are the units of all thresholds.
 
     Returns:
         (h, w) int32 labels: 0 for background, 1 for the object with most pixels, and so on.
     """
     valid = np.asarray(np.isfinite(points).all(axis=2))
     points = np.where(valid[:, :, None], points, 0.0)
-    above = valid & (support.distances(points.reshape(-1, 3)).reshape(valid.shape) > config.floor_m)
+    above = valid & (support.distances(points.reshape(-1, 3)).reshape(valid.shape) > _FLOOR * sensor.sigma_m)
     labels = np.zeros(valid.shape, dtype=np.int32)
     if above.sum() < _MIN_PIECE_PX:
         return labels
     rows, columns = (slice(a.min(), a.max() + 1) for a in np.nonzero(above))
     points, above = points[rows, columns], above[rows, columns]
     depth = np.linalg.norm(points - eye, axis=2)
-    above = above & (_connected_pixels(above, depth, config) > 0)  # flying pixels hang together with nothing
+    jump = _JUMP * sensor.sigma_m + _JUMP_PER_M * depth
+    above = above & (_connected_pixels(above, depth, jump) > 0)  # flying pixels hang together with nothing
     if not above.any():
         return labels
-    crease = concavity(points, above, depth, eye, focal_px, jump=_jump(depth, config)) > config.max_concavity
+    arm_m = ARM * sensor.sigma_m
+    crease = concavity(points, above, depth, eye, focal_px, jump=jump, arm_m=arm_m) > _MAX_CONCAVITY
     crease = above & np.asarray(ndimage.binary_dilation(crease, iterations=_CREASE_PX), dtype=bool)
-    pieces = _give_back(_connected_pixels(above & ~crease, depth, config), above, points)
-    rest = _connected_pixels(above & (pieces == 0), depth, config)  # wide creases, as round the floor of a cup
+    pieces = _give_back(_connected_pixels(above & ~crease, depth, jump), above, points, _NEAR * sensor.sigma_m)
+    rest = _connected_pixels(above & (pieces == 0), depth, jump)  # wide creases, as round the floor of a cup
     pieces = np.where(rest > 0, rest + pieces.max(), pieces)
-    labels[rows, columns] = _objects(pieces, points, support, (depth / focal_px) ** 2, config)
+    labels[rows, columns] = _objects(pieces, points, support, (depth / focal_px) ** 2, sensor)
     return labels
 
 
-def label_points(points: np.ndarray, support: SupportPlane, *, config: ClusterConfig = ClusterConfig()) -> np.ndarray:
+def label_points(
+    points: np.ndarray, support: SupportPlane, *, sensor: SensorProfile = TABLETOP, drop: bool = True
+) -> np.ndarray:
     """Objects of bare points: DBSCAN on a grid, then merge_pieces.
 
     Args:
         points: (n, 3) m.
         support: What they stand on.
-        config: Thresholds.
+        sensor: Its noise and sizes are the units of all thresholds.
+        drop: Leave out what is too small or too wide for an object.
 
     Returns:
         (n,) int32 labels: 0 for the support and for flying points, 1 for the object with most surface, and so on.
     """
     labels = np.zeros(len(points), dtype=np.int32)
-    above = np.flatnonzero(support.distances(points) > config.floor_m)
+    above = np.flatnonzero(support.distances(points) > _FLOOR * sensor.sigma_m)
     if len(above) < _MIN_PIECE_PX:
         return labels
-    centres, cell_of = voxel_grid(points[above], _VOXEL_M)
-    pieces = cluster_points(centres, config.gap_m)
-    objects = _objects(pieces, centres, support, np.full(len(centres), _VOXEL_M**2), config)
+    centres, cell_of = voxel_grid(points[above], VOXEL * sensor.sigma_m)
+    pieces = cluster_points(centres, sensor)
+    area_m2 = np.full(len(centres), (VOXEL * sensor.sigma_m) ** 2)
+    objects = _objects(pieces, centres, support, area_m2, sensor, drop=drop)
     labels[above] = objects[cell_of]
     return labels
 
 
-def cluster_points(points: np.ndarray, gap_m: float) -> np.ndarray:
+def cluster_points(points: np.ndarray, sensor: SensorProfile) -> np.ndarray:
     """(n,) int32 clusters of (n, 3) points by DBSCAN, 0 for outliers; the gap grows where the points are sparse."""
     if len(points) < 2:
         return np.zeros(len(points), dtype=np.int32)
     spacing = float(np.median(KDTree(points).query(points[:: -(-len(points) // 2000)], k=2)[0][:, 1]))
-    found = DBSCAN(eps=max(gap_m, 3.0 * spacing), min_samples=_NEIGHBOURS).fit(points).labels_
+    found = DBSCAN(eps=max(_GAP * sensor.sigma_m, 3.0 * spacing), min_samples=_NEIGHBOURS).fit(points).labels_
     return (found + 1).astype(np.int32)
 
 
-def _jump(depth: np.ndarray, config: ClusterConfig) -> np.ndarray:
-    return config.jump_m + config.jump_per_m * depth
-
-
-def _connected_pixels(chosen: np.ndarray, depth: np.ndarray, config: ClusterConfig) -> np.ndarray:
+def _connected_pixels(chosen: np.ndarray, depth: np.ndarray, jump: np.ndarray) -> np.ndarray:
     """(h, w) int32 pieces of the chosen pixels, neighbours joined where there is no depth step; 0 elsewhere."""
     index = np.arange(chosen.size).reshape(chosen.shape)
-    jump = _jump(depth, config)
     pairs = []
     for a, b in (((slice(None), slice(None, -1)), (slice(None), slice(1, None))),
                  ((slice(None, -1), slice(None)), (slice(1, None), slice(None)))):  # fmt: skip
@@ -150,28 +127,34 @@ def _connected_pixels(chosen: np.ndarray, depth: np.ndarray, config: ClusterConf
     return np.where(chosen, number[found], 0).astype(np.int32)
 
 
-def _give_back(pieces: np.ndarray, above: np.ndarray, points: np.ndarray) -> np.ndarray:
+def _give_back(pieces: np.ndarray, above: np.ndarray, points: np.ndarray, near_m: float) -> np.ndarray:
     """Pixels of creases and specks join the nearest piece in the picture, where that is near in space too."""
     if not pieces.any():
         return pieces
     nearest = np.asarray(ndimage.distance_transform_edt(pieces == 0, return_distances=False, return_indices=True))
     there = points[nearest[0], nearest[1]]
-    near = np.linalg.norm(points - there, axis=2) < 0.015
+    near = np.linalg.norm(points - there, axis=2) < near_m
     return np.where(above & near, pieces[nearest[0], nearest[1]], pieces)
 
 
 def _objects(
-    pieces: np.ndarray, points: np.ndarray, support: SupportPlane, area_m2: np.ndarray, config: ClusterConfig
+    pieces: np.ndarray,
+    points: np.ndarray,
+    support: SupportPlane,
+    area_m2: np.ndarray,
+    sensor: SensorProfile,
+    *,
+    drop: bool = True,
 ) -> np.ndarray:
     """Pieces merged into objects, too small and too wide ones dropped, renumbered by size; shape of `pieces`."""
-    group = merge_pieces(pieces, points, support, area_m2, config=config.merge)
+    group = merge_pieces(pieces, points, support, area_m2, sensor=sensor)
     merged = group[pieces]
     chosen = merged > 0
     area = np.bincount(merged[chosen], area_m2[chosen], minlength=group.max() + 1)
-    keep = area >= config.min_area_m2
-    for k in np.flatnonzero(keep):
+    keep = area >= (_MIN_AREA * sensor.smallest_m**2 if drop else 1e-12)
+    for k in np.flatnonzero(keep) if drop else ():
         low, high = np.percentile(points[merged == k], (2, 98), axis=0)
-        keep[k] = float((high - low).max()) <= config.max_object_m
+        keep[k] = float((high - low).max()) <= _MAX_WIDTH * sensor.largest_m
     order = np.argsort(-np.bincount(merged[chosen], minlength=group.max() + 1), kind="stable")
     number = np.zeros(len(keep), dtype=np.int32)
     kept = [k for k in order if keep[k]]

@@ -5,12 +5,19 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage
 
-ARM_M = 0.015  # half a chord: well above the noise, below the radius of what is to stay whole
+ARM = 10.0  # half a chord, in multiples of the noise: well above it, and below the radius of what is to stay whole
 _SMOOTH_PX = 5
 
 
 def concavity(
-    points: np.ndarray, chosen: np.ndarray, depth: np.ndarray, eye: np.ndarray, focal_px: float, *, jump: np.ndarray
+    points: np.ndarray,
+    chosen: np.ndarray,
+    depth: np.ndarray,
+    eye: np.ndarray,
+    focal_px: float,
+    *,
+    jump: np.ndarray,
+    arm_m: float,
 ) -> np.ndarray:
     """How far the surface dips under chords across each pixel.
 
@@ -25,6 +32,7 @@ def concavity(
         eye: (3,) m.
         focal_px: Focal length.
         jump: (h, w) m; a depth step beyond it breaks a chord.
+        arm_m: Half a chord.
 
     Returns:
         (h, w) float64, 0 where no unbroken chord lies across.
@@ -32,7 +40,7 @@ def concavity(
     rays = points - eye
     rays /= np.maximum(depth, 1e-9)[:, :, None]
     smooth = eye + rays * ndimage.median_filter(depth, _SMOOTH_PX)[:, :, None]
-    arm_px = max(3, round(focal_px * ARM_M / float(np.median(depth[chosen]))))
+    arm_px = max(3, round(focal_px * arm_m / float(np.median(depth[chosen]))))
     largest = np.zeros(chosen.shape)
     for dy, dx in ((0, 1), (1, 0), (1, 1), (1, -1)):
         k = arm_px if dy * dx == 0 else max(2, round(arm_px / np.sqrt(2)))

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 
-from gfp_grasp.camera import backproject
 from gfp_grasp.detect.box import upright_box
-from gfp_grasp.detect.clusters import ClusterConfig, label_picture, label_points
+from gfp_grasp.detect.clusters import label_picture, label_points
 from gfp_grasp.detect.noise import estimate_sigma
-from gfp_grasp.detect.support import SupportConfig, find_support
+from gfp_grasp.detect.support import find_support
 from gfp_grasp.errors import InvalidOption, NothingDetected
 from gfp_grasp.parallel import one_thread
 from gfp_grasp.transforms import apply_T, invert_T
-from gfp_grasp.types import DepthImage, Detection, PointCloud, SupportPlane
+from gfp_grasp.types import TABLETOP, DepthImage, Detection, PointCloud, SensorProfile, SupportPlane, View
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -24,24 +23,20 @@ class DetectConfig:
     """Switches of detection.
 
     Attributes:
-        support: The plane.
-        clusters: What stands on it.
+        sensor: Its limits, its noise, and the sizes of what it looks at.
         max_points: Points of a cloud that are looked at; more are thinned evenly.
         max_object_points: Points that a detection keeps.
-        max_width_m: One object of a known class is not wider; two clusters farther apart are refused.
         classify: Name the class of each object; False leaves `category` "" and `scores` empty, and needs no torch.
     """
 
-    support: SupportConfig = field(default_factory=SupportConfig)
-    clusters: ClusterConfig = field(default_factory=ClusterConfig)
+    sensor: SensorProfile = TABLETOP
     max_points: int = 400_000
     max_object_points: int = 60_000
-    max_width_m: float = 0.45
     classify: bool = True
 
     def __post_init__(self) -> None:
-        if self.max_points < 1000 or self.max_object_points < 1000 or self.max_width_m <= 0:
-            raise InvalidOption(f"{self}: at least 1000 points and a positive width are expected")
+        if self.max_points < 1000 or self.max_object_points < 1000:
+            raise InvalidOption(f"{self}: at least 1000 points are expected")
 
 
 @one_thread()
@@ -65,12 +60,12 @@ def detect_objects(
 
 def picture_support(image: DepthImage, up: np.ndarray | None, config: DetectConfig) -> SupportPlane | None:
     """Support plane of a depth picture, world frame; the camera's own axes are tried where up is None."""
-    points = backproject(image)
+    points = image.points()
     points = points[np.isfinite(points).all(axis=2)]
     eye = image.T_world_camera[:3, 3]
     if up is not None:
-        return find_support(points, up, viewpoint=eye, config=config.support)
-    seen = find_support(apply_T(invert_T(image.T_world_camera), points), None, config=config.support)
+        return find_support(points, up, viewpoint=eye, sensor=config.sensor)
+    seen = find_support(apply_T(invert_T(image.T_world_camera), points), None, sensor=config.sensor)
     if seen is None:
         return None
     normal = image.T_world_camera[:3, :3] @ seen.normal
@@ -83,7 +78,7 @@ def make_detection(
     viewpoint: np.ndarray | None = None,
     up: np.ndarray = UP,
     support: SupportPlane | None = None,
-    view: DepthImage | None = None,
+    view: View | None = None,
     mask: np.ndarray | None = None,
     category: str | None = None,
     config: DetectConfig = DetectConfig(),
@@ -113,7 +108,8 @@ def make_detection(
         box=upright_box(points, up),
         view=view,
         mask=mask,
-        sensor_sigma_m=estimate_sigma(points, viewpoint),
+        sensor_sigma_m=estimate_sigma(points, viewpoint, sensor=config.sensor),
+        sensor=config.sensor,
     )
 
 
@@ -124,8 +120,8 @@ def _detect_in_picture(image: DepthImage, up: np.ndarray | None, config: DetectC
             "no support plane in the depth picture: is a table in view, and is `up` its normal in the world frame "
             "(up=None tries the camera's axes)? A picture of one object alone goes to complete_to_mesh as a cloud"
         )
-    points, eye = backproject(image), image.T_world_camera[:3, 3]
-    labels = label_picture(points, support, eye, float(image.K[0, 0]), config=config.clusters)
+    points, eye = image.points(), image.viewpoint
+    labels = label_picture(points, support, eye, float(image.K[0, 0]), sensor=config.sensor)
     if not labels.any():
         raise NothingDetected("a support plane, but nothing on it that is large enough for an object")
     return tuple(
@@ -145,12 +141,12 @@ def _detect_in_picture(image: DepthImage, up: np.ndarray | None, config: DetectC
 
 def _detect_in_points(cloud: PointCloud, up: np.ndarray | None, config: DetectConfig) -> tuple[Detection, ...]:
     points = cloud.points[:: -(-len(cloud.points) // config.max_points)]
-    support = find_support(points, up, viewpoint=cloud.viewpoint, config=config.support)
+    support = find_support(points, up, viewpoint=cloud.viewpoint, sensor=config.sensor)
     if support is None:
         raise NothingDetected(
             "no support plane in the cloud: a single object without its table goes to complete_to_mesh"
         )
-    labels = label_points(points, support, config=config.clusters)
+    labels = label_points(points, support, sensor=config.sensor)
     if not labels.any():
         raise NothingDetected("a support plane, but nothing on it that is large enough for an object")
     return tuple(

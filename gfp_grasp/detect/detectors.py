@@ -3,23 +3,25 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from functools import partial
 from typing import Protocol
 
 import numpy as np
 
-from gfp_grasp.detect.detector import detect_objects
+from gfp_grasp.detect.detector import DetectConfig, detect_objects
 from gfp_grasp.errors import InvalidOption, NothingDetected, UnknownDetector
 from gfp_grasp.plugins import imported_function
 from gfp_grasp.types import DepthImage, Detection
 
 
 class Detector(Protocol):
-    """A function from a depth picture to the objects in it, largest first, world frame."""
+    """A function from a depth picture to the objects in it, largest first, world frame; they need no class."""
 
     def __call__(self, image: DepthImage, *, up: np.ndarray | None) -> Sequence[Detection]: ...
 
 
-DETECTORS: Mapping[str, Detector] = {"tabletop": detect_objects}
+# Classes are named when a detection is completed, by the library of the completion.
+DETECTORS: Mapping[str, Detector] = {"tabletop": partial(detect_objects, config=DetectConfig(classify=False))}
 
 
 def get_detector(name: str) -> Detector:
@@ -27,8 +29,7 @@ def get_detector(name: str) -> Detector:
 
     Args:
         name: `tabletop` (`detect_objects`: what stands on a support plane), or `package.module:function`, a function
-            like it. `make_detection` makes a detection of an object's points; one without class scores is classified
-            when it is completed.
+            like it. `make_detection` makes a detection of an object's points; its class is named when it is completed.
 
     Raises:
         UnknownDetector: The name is none of these, or cannot be imported.

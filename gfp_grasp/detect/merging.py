@@ -9,42 +9,23 @@ from scipy.spatial import ConvexHull, KDTree, QhullError
 
 from gfp_grasp.detect.box import smallest_rectangle
 from gfp_grasp.transforms import rotation_between
-from gfp_grasp.types import SupportPlane
+from gfp_grasp.types import SensorProfile, SupportPlane
 
+# Multiples of the sensor's noise:
+_GAP = 10.0  # two pieces of one object are this near in space
+_RIM_GAP = 40.0  # the far inside of a rim begins this near behind the near outside
+_TOUCHING = 10 / 3  # a piece this near, and much smaller than the other, belongs to it
+_HANDLE_WIDTH = 50 / 3  # a piece this narrow on the ground is a handle, which may be larger
+_FLOATS = 10.0  # a piece whose lowest point is higher than this cannot stand by itself
+_SAME_TOP = 8.0  # tops that agree to this are two sides of one rim
+_NOISE, _RIM, _CAP = 2.0, 20 / 3, 40 / 3  # how far beyond an outline still counts as inside it
 
-@dataclass(frozen=True)
-class MergeConfig:
-    """When two pieces are one object.
-
-    Attributes:
-        gap_m: They are this near in space.
-        floats_m: Height of a piece's lowest point from which it cannot stand by itself.
-        on_top: A piece that begins above this share of the other's height stands on it.
-        within: Share of a piece's ground points inside the other's outline from which it is inside the other.
-        rim_gap_m: The far inside of a rim begins this near behind the near outside.
-        touching_m, crumb: A piece this near, whose surface is a smaller share than this of the other's, belongs to it.
-        handle_width_m: A piece this narrow on the ground may have twice that share: it is a handle.
-        cap: Largest share of surface that a cap or pump has of its bottle.
-        compact: Length over width of the ground outline of one object in two pieces.
-        same_top_m: Tops that agree to this are two sides of one rim.
-        max_width_m: No merging into anything wider.
-    """
-
-    gap_m: float = 0.015
-    rim_gap_m: float = 0.06
-    touching_m: float = 0.005
-    crumb: float = 0.15
-    handle_width_m: float = 0.025
-    cap: float = 0.3
-    compact: float = 1.4
-    floats_m: float = 0.015
-    on_top: float = 0.8
-    within: float = 0.7
-    same_top_m: float = 0.012
-    max_width_m: float = 0.3
-
-
-_NOISE_M, _RIM_M, _CAP_M = 0.003, 0.01, 0.02  # how far beyond an outline still counts as inside it
+_MAX_WIDTH = 0.2  # no merging into anything wider; in the sensor's largest
+_ON_TOP = 0.8  # a piece that begins above this share of the other's height stands on it
+_WITHIN = 0.7  # share of a piece's ground points inside the other's outline from which it is inside the other
+_CRUMB = 0.15  # largest share of surface that what touches has of what it belongs to; a handle may have twice that
+_CAP_SHARE = 0.3  # largest share of surface that a cap or pump has of its bottle
+_COMPACT = 1.4  # length over width of the ground outline of one object in two pieces
 _SAMPLE = 1500  # points of a piece that distances are measured between
 
 
@@ -63,7 +44,7 @@ def merge_pieces(
     support: SupportPlane,
     area_m2: np.ndarray,
     *,
-    config: MergeConfig = MergeConfig(),
+    sensor: SensorProfile,
 ) -> np.ndarray:
     """Join what is one object: a handle seen apart from its mug, a cup's inside beyond its rim.
 
@@ -82,7 +63,7 @@ def merge_pieces(
         points: (..., 3) m.
         support: The plane below.
         area_m2: (...) surface that each point stands for.
-        config: The thresholds.
+        sensor: Its noise and sizes are the units of all thresholds.
 
     Returns:
         (p + 1,) int, the object of each piece; 0 stays 0.
@@ -93,7 +74,7 @@ def merge_pieces(
     while waiting:
         k = waiting.pop(0)
         others = sorted((_gap(known[k], known[m]), m) for m in known if m != k)
-        owner = next((m for gap, m in others if _belongs(known[k], known[m], gap, config)), None)
+        owner = next((m for gap, m in others if _belongs(known[k], known[m], gap, sensor)), None)
         if owner is None:
             continue
         group[group == k] = owner
@@ -102,27 +83,30 @@ def merge_pieces(
     return group
 
 
-def _belongs(piece: _Piece, other: _Piece, gap: float, config: MergeConfig) -> bool:
-    if gap > config.rim_gap_m:
+def _belongs(piece: _Piece, other: _Piece, gap: float, sensor: SensorProfile) -> bool:
+    sigma_m = sensor.sigma_m
+    if gap > _RIM_GAP * sigma_m:
         return False
     _, low, high = smallest_rectangle(np.vstack([piece.ground, other.ground]))
     length, width = high - low
-    if length > config.max_width_m:
+    if length > _MAX_WIDTH * sensor.largest_m:
         return False
-    if piece.low > config.on_top * other.high or other.low > config.on_top * piece.high:
-        return gap < config.gap_m and (_caps(piece, other, config) or _caps(other, piece, config))
-    same_top = abs(piece.high - other.high) < config.same_top_m
-    if same_top and length < config.compact * width:
+    if piece.low > _ON_TOP * other.high or other.low > _ON_TOP * piece.high:
+        return gap < _GAP * sigma_m and (_caps(piece, other, sigma_m) or _caps(other, piece, sigma_m))
+    same_top = abs(piece.high - other.high) < _SAME_TOP * sigma_m
+    if same_top and length < _COMPACT * width:
         return True
-    if gap > config.gap_m:
+    if gap > _GAP * sigma_m:
         return False
-    margin_m = _RIM_M if same_top else _NOISE_M  # the outside of a wall lies a wall's thickness beyond its inside
-    if _share_within(piece.ground, other.ground, margin_m) > config.within:
+    margin_m = (
+        _RIM if same_top else _NOISE
+    ) * sigma_m  # the outside of a wall lies a wall's thickness beyond its inside
+    if _share_within(piece.ground, other.ground, margin_m) > _WITHIN:
         return True
-    thin = _width_m(piece.ground) < config.handle_width_m
-    if gap < config.touching_m and piece.area_m2 < (2 if thin else 1) * config.crumb * other.area_m2:
+    thin = _width_m(piece.ground) < _HANDLE_WIDTH * sigma_m
+    if gap < _TOUCHING * sigma_m and piece.area_m2 < (2 if thin else 1) * _CRUMB * other.area_m2:
         return True
-    if piece.low < config.floats_m:
+    if piece.low < _FLOATS * sigma_m:
         return False
     return same_top or piece.area_m2 < 0.5 * other.area_m2
 
@@ -132,11 +116,11 @@ def _width_m(ground: np.ndarray) -> float:
     return float(high[1] - low[1])
 
 
-def _caps(piece: _Piece, other: _Piece, config: MergeConfig) -> bool:
+def _caps(piece: _Piece, other: _Piece, sigma_m: float) -> bool:
     """Whether a piece on top is the other's cap or pump: small, on something taller than wide."""
     tall = other.high > float(np.ptp(other.ground, axis=0).max())
-    small = piece.area_m2 < config.cap * other.area_m2
-    return tall and small and _share_within(piece.ground, other.ground, _CAP_M) > 0.5
+    small = piece.area_m2 < _CAP_SHARE * other.area_m2
+    return tall and small and _share_within(piece.ground, other.ground, _CAP * sigma_m) > 0.5
 
 
 def _joined(a: _Piece, b: _Piece, support: SupportPlane) -> _Piece:

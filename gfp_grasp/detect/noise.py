@@ -5,13 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from gfp_grasp.clouds import local_axes
+from gfp_grasp.types import TABLETOP, SensorProfile
 
-LEAST_M, MOST_M = 0.0005, 0.006  # what depth cameras at arm's length show
 _NEIGHBOURS = 16
 _SAMPLE = 400
 
 
-def estimate_sigma(points: np.ndarray, viewpoint: np.ndarray | None = None) -> float:
+def estimate_sigma(
+    points: np.ndarray, viewpoint: np.ndarray | None = None, *, sensor: SensorProfile = TABLETOP
+) -> float:
     """Standard deviation of the depth noise, m, from the residuals of small planes.
 
     The median over neighbourhoods of 16 points, so that edges and flying pixels do not count. Residuals are taken
@@ -21,12 +23,14 @@ def estimate_sigma(points: np.ndarray, viewpoint: np.ndarray | None = None) -> f
     Args:
         points: (n, 3) m.
         viewpoint: (3,) m.
+        sensor: What noise is believed.
 
     Returns:
-        Between 0.5 and 6 mm.
+        Within the sensor's `sigma_range_m`: between 0.5 and 6 mm for depth cameras over a table.
     """
+    least_m, most_m = sensor.sigma_range_m
     if len(points) < 2 * _NEIGHBOURS:
-        return LEAST_M
+        return least_m
     chosen = points[:: -(-len(points) // _SAMPLE)]
     variance, axes = local_axes(points, chosen, num_neighbours=_NEIGHBOURS)
     # Three degrees of freedom go into the plane.
@@ -35,4 +39,4 @@ def estimate_sigma(points: np.ndarray, viewpoint: np.ndarray | None = None) -> f
         rays = chosen - viewpoint
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
         residual = residual / np.maximum(np.abs(np.einsum("ni,ni->n", rays, axes[:, :, 0])), 0.3)
-    return float(np.clip(np.median(residual), LEAST_M, MOST_M))
+    return float(np.clip(np.median(residual), least_m, most_m))

@@ -3,31 +3,32 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import replace
 
 import numpy as np
 from scipy.spatial import KDTree
 
-from gfp_grasp.camera import project
+from gfp_grasp.camera import mask_of_points
 from gfp_grasp.clouds import voxel_grid
-from gfp_grasp.detect.clusters import cluster_points, label_points
+from gfp_grasp.detect.clusters import VOXEL, cluster_points, label_points
 from gfp_grasp.detect.detector import UP, DetectConfig, make_detection, picture_support
 from gfp_grasp.detect.support import find_support
-from gfp_grasp.detect.validate import MAX_OBJECT_M, MIN_POINTS, robust_extents
+from gfp_grasp.detect.validate import MIN_POINTS, robust_extents
 from gfp_grasp.errors import InvalidCloud, InvalidView, NothingDetected
 from gfp_grasp.parallel import one_thread
-from gfp_grasp.types import DepthImage, Detection, SupportPlane
+from gfp_grasp.types import DepthImage, Detection, RangeImage, SensorProfile, SupportPlane, View
 
 # Angles of a camera above the horizon that are tried where neither up nor a table is known.
 _CAMERA_ELEVATIONS_DEG = (30.0, 15.0, 45.0, 0.0, 60.0)
 _AT_ORIGIN_M = 0.01  # a viewpoint this near to the origin says that the frame is a camera's
 # No camera has an object fill more of its picture than this, to either side; from within one it is a half space.
 _MAX_HALF_ANGLE_DEG = 65.0
-_MAX_RANGE_M = 20.0  # no depth camera resolves a cup from farther away
 _MIN_SHARE_IN_MASK = 0.1
 _SECOND_SHARE = 0.1  # a second cluster of this share of the first's surface is worth a warning
-_NEAR_M = 0.06  # clusters this near may be one object behind an occluder
-_VOXEL_M = 0.003
+# Multiples of the sensor's noise:
+_NEAR = 40.0  # clusters this near may be one object behind an occluder
+_SAME_RANGE = 20 / 3  # a pixel sees a point when their ranges agree to this
+
+_MAX_WIDTH = 0.3  # clusters that are farther apart are no single object; in the sensor's largest
 
 
 @one_thread()
@@ -37,7 +38,7 @@ def detect_single(
     viewpoint: np.ndarray | None = None,
     up: np.ndarray | None = UP,
     support_height: float | None = None,
-    view: DepthImage | None = None,
+    view: View | None = None,
     mask: np.ndarray | None = None,
     category: str | None = None,
     config: DetectConfig = DetectConfig(),
@@ -51,7 +52,7 @@ def detect_single(
             elevations the one under which the object looks most like a known class; with a viewpoint that is not the
             origin, and no view, z where the camera is above the object, else another axis. `Detection.up` says which.
         support_height: Of the table along up, m; None looks for it, and leaves support None where there is none.
-        view: The whole depth picture.
+        view: All that the sensor saw.
         mask: (h, w) bool, the object's pixels in it; None marks the pixels that the points fall on.
         category: Given class.
         config: Switches.
@@ -64,18 +65,18 @@ def detect_single(
     """
     mask = _checked_mask(mask, view)
     if view is not None and viewpoint is None:
-        viewpoint = view.T_world_camera[:3, 3]
+        viewpoint = view.viewpoint
     points = points[:: -(-len(points) // config.max_points)]
     support = _support(points, viewpoint, up, support_height, view, config)
     if support is not None:
         up = support.normal
     mine = _object_points(points, support, config)
     if viewpoint is not None:
-        _refuse_viewpoint(np.asarray(viewpoint, dtype=np.float64), mine)
+        _refuse_viewpoint(np.asarray(viewpoint, dtype=np.float64), mine, config.sensor)
     if up is None:
         up = _likely_up(mine, viewpoint, view)
     if view is not None:
-        mask = _mask_of(mine, view, mask)
+        mask = _mask_of(mine, view, mask, config.sensor)
     return make_detection(
         mine,
         viewpoint=viewpoint,
@@ -93,7 +94,7 @@ def _support(
     viewpoint: np.ndarray | None,
     up: np.ndarray | None,
     support_height: float | None,
-    view: DepthImage | None,
+    view: View | None,
     config: DetectConfig,
 ) -> SupportPlane | None:
     if support_height is not None:
@@ -101,77 +102,81 @@ def _support(
             found = _support(points, viewpoint, None, None, view, config)
             up = _likely_up(points, viewpoint, view) if found is None else found.normal
         return SupportPlane(up, support_height)
-    if view is not None:
+    if isinstance(view, DepthImage):
         found = picture_support(view, up, config)
         if found is not None:
             return found
-    return find_support(points, up, viewpoint=viewpoint, config=config.support)
+    return find_support(points, up, viewpoint=viewpoint, sensor=config.sensor)
 
 
 def _object_points(points: np.ndarray, support: SupportPlane | None, config: DetectConfig) -> np.ndarray:
     """Points of the object alone: above the support, in one cluster or in several near ones, no flying pixels."""
     if support is None:
-        centres, cell_of = voxel_grid(points, _VOXEL_M)
-        labels = cluster_points(centres, config.clusters.gap_m)[cell_of]
+        centres, cell_of = voxel_grid(points, VOXEL * config.sensor.sigma_m)
+        labels = cluster_points(centres, config.sensor)[cell_of]
     else:
-        labels = label_points(points, support, config=replace(config.clusters, max_object_m=np.inf, min_area_m2=1e-6))
+        labels = label_points(points, support, sensor=config.sensor, drop=False)
     sizes = np.bincount(labels)[1:]
     if not sizes.size or sizes.max() < MIN_POINTS:
         height = "" if support is None else f" above the support at {support.height_m:.4g} m along up"
         raise NothingDetected(
             f"no {MIN_POINTS} points hang together{height}: is that height right, and is this the object?"
         )
-    return _without_flying(points[np.isin(labels, _chosen_clusters(points, labels, config))])
+    return _without_flying(points[np.isin(labels, _chosen_clusters(points, labels, config.sensor))], config.sensor)
 
 
-def _chosen_clusters(points: np.ndarray, labels: np.ndarray, config: DetectConfig) -> list[int]:
+def _chosen_clusters(points: np.ndarray, labels: np.ndarray, sensor: SensorProfile) -> list[int]:
     """The biggest cluster, and those so near that an occluder may part them; warns of every other one that counts."""
-    surface = [len(voxel_grid(points[labels == k], 2 * _VOXEL_M)[0]) for k in range(1, int(labels.max()) + 1)]
+    cell_m = 2 * VOXEL * sensor.sigma_m
+    surface = [len(voxel_grid(points[labels == k], cell_m)[0]) for k in range(1, int(labels.max()) + 1)]
     first = int(np.argmax(surface)) + 1
     others = [
         k for k in range(1, len(surface) + 1) if k != first and surface[k - 1] > _SECOND_SHARE * surface[first - 1]
     ]
     if not others:
-        _refuse_too_large(points[labels == first])
+        _refuse_too_large(points[labels == first], sensor)
         return [first]
     everything = points[np.isin(labels, [first, *others])]
     width_m = float(robust_extents(everything).max())
-    if width_m > config.max_width_m:
+    if width_m > _MAX_WIDTH * sensor.largest_m:
         raise InvalidCloud(
-            f"the cloud holds {1 + len(others)} clusters, {width_m:.2f} m across together, and an object of a known "
-            f"class is at most {config.max_width_m} m: pass one object's points, or the depth picture to complete_scene"
+            f"the cloud holds {1 + len(others)} clusters, {width_m:.2f} m across together, and clusters of one "
+            f"object are within {_MAX_WIDTH * sensor.largest_m:.2f} m: pass one object's points, or the depth picture "
+            "to complete_scene"
         )
     tree = KDTree(points[labels == first])
-    near = [k for k in others if tree.query(_few(points[labels == k]))[0].min() < _NEAR_M]
+    near = [k for k in others if tree.query(_few(points[labels == k]))[0].min() < _NEAR * sensor.sigma_m]
     fate = "taken for one object behind an occluder" if near else "only the biggest is used"
     warnings.warn(f"the cloud holds {1 + len(others)} clusters; {len(near) + 1} of them: {fate}", stacklevel=4)
     return [first, *near]
 
 
-def _refuse_too_large(points: np.ndarray) -> None:
+def _refuse_too_large(points: np.ndarray, sensor: SensorProfile) -> None:
     extent_m = float(robust_extents(points).max())
-    if extent_m > MAX_OBJECT_M:
+    if extent_m > sensor.largest_m:
         raise InvalidCloud(
-            f"the object is {extent_m:.4g} m across, at most {MAX_OBJECT_M} is expected: if the cloud is in "
-            "millimetres, divide it by 1000; if it holds more than one object, crop it"
+            f"the object is {extent_m:.4g} m across, at most {sensor.largest_m} is expected: if the cloud is in "
+            "millimetres, divide it by 1000; if it holds more than one object, crop it; if a LiDAR saw it, say so "
+            '(sensor="lidar")'
         )
 
 
-def _without_flying(points: np.ndarray) -> np.ndarray:
+def _without_flying(points: np.ndarray, sensor: SensorProfile) -> np.ndarray:
     """Points whose surroundings are not much emptier than the object's: flying pixels hang in the air by themselves."""
-    centres, cell_of = voxel_grid(points, _VOXEL_M)
-    crowd = KDTree(centres).query_ball_point(centres, 4 * _VOXEL_M, return_length=True)
+    cell_m = VOXEL * sensor.sigma_m
+    centres, cell_of = voxel_grid(points, cell_m)
+    crowd = KDTree(centres).query_ball_point(centres, 4 * cell_m, return_length=True)
     dense = (crowd >= 0.2 * np.median(crowd))[cell_of]
     return points[dense] if dense.sum() >= MIN_POINTS else points
 
 
-def _refuse_viewpoint(viewpoint: np.ndarray, points: np.ndarray) -> None:
+def _refuse_viewpoint(viewpoint: np.ndarray, points: np.ndarray, sensor: SensorProfile) -> None:
     sight = points - viewpoint
     distance = np.linalg.norm(sight, axis=1)
-    if np.median(distance) > _MAX_RANGE_M:
+    if np.median(distance) > sensor.farthest_m:
         raise InvalidCloud(
-            f"viewpoint is {np.median(distance):.4g} m away from the object, at most {_MAX_RANGE_M:.0f} is expected: "
-            "is it in the frame of the cloud, and in metres?"
+            f"viewpoint is {np.median(distance):.4g} m away from the object, at most {sensor.farthest_m:.0f} is "
+            "expected: is it in the frame of the cloud, and in metres?"
         )
     middle = points.mean(axis=0) - viewpoint
     cosine = sight @ middle / np.maximum(distance * np.linalg.norm(middle), 1e-12)
@@ -182,26 +187,28 @@ def _refuse_viewpoint(viewpoint: np.ndarray, points: np.ndarray) -> None:
         )
 
 
-def _likely_up(points: np.ndarray, viewpoint: np.ndarray | None, view: DepthImage | None) -> np.ndarray:
+def _likely_up(points: np.ndarray, viewpoint: np.ndarray | None, view: View | None) -> np.ndarray:
     """The direction under which the classifier is surest, of those that the frame makes likely."""
     from gfp_grasp.detect.classifier import classify  # torch, only where it is asked for
 
     return max(_possible_ups(points, viewpoint, view), key=lambda up: max(classify(points, up).values()))
 
 
-def _possible_ups(points: np.ndarray, viewpoint: np.ndarray | None, view: DepthImage | None) -> list[np.ndarray]:
+def _possible_ups(points: np.ndarray, viewpoint: np.ndarray | None, view: View | None) -> list[np.ndarray]:
     """A level camera's at likely elevations; with a view the world's z too; in a frame that is no camera's its axes."""
     if view is None and viewpoint is not None and np.linalg.norm(viewpoint) > _AT_ORIGIN_M:
         toward = np.asarray(viewpoint) - points.mean(axis=0)
         # Most worlds have z up, and a camera looks at a table from above.
         return [UP] if toward @ UP > 0 else [up for up in np.vstack([np.eye(3), -np.eye(3)]) if up @ toward > 0]
-    R = np.eye(3) if view is None else view.T_world_camera[:3, :3]
+    if isinstance(view, RangeImage):
+        return [view.T_world_sensor[:3, 2]]
+    R = view.T_world_camera[:3, :3] if isinstance(view, DepthImage) else np.eye(3)
     elevations = np.radians(_CAMERA_ELEVATIONS_DEG)
     ups = [R @ np.array([0.0, -np.cos(e), -np.sin(e)]) for e in elevations]
     return ups if view is None else [*ups, UP]
 
 
-def _checked_mask(mask: object, view: DepthImage | None) -> np.ndarray | None:
+def _checked_mask(mask: object, view: View | None) -> np.ndarray | None:
     if mask is None:
         return None
     if view is None:
@@ -211,37 +218,23 @@ def _checked_mask(mask: object, view: DepthImage | None) -> np.ndarray | None:
         pixels = np.nan_to_num(pixels).astype(bool) if pixels.dtype.kind == "f" else pixels.astype(bool)
     except (TypeError, ValueError, RuntimeError) as error:
         raise InvalidView(f"mask is a {type(mask).__name__}; an (h, w) bool array is expected") from error
-    if pixels.shape != view.depth_m.shape:
-        raise InvalidView(f"mask has shape {pixels.shape}, the depth picture {view.depth_m.shape}")
+    if pixels.shape != view.shape:
+        raise InvalidView(f"mask has shape {pixels.shape}, the view {view.shape}")
     return pixels
 
 
-def _mask_of(points: np.ndarray, view: DepthImage, mask: np.ndarray | None) -> np.ndarray:
+def _mask_of(points: np.ndarray, view: View, mask: np.ndarray | None, sensor: SensorProfile) -> np.ndarray:
     """The given mask, or else the pixels of the points; refused where it or the view has nothing of the points."""
-    seen = _pixels_of(points, view)
+    seen = mask_of_points(points, view, tolerance_m=_SAME_RANGE * sensor.sigma_m)
     if not seen.any():
         raise InvalidView(
-            "the view saw nothing where the points are: is its pose T_world_camera in the frame of the cloud?"
+            "the view saw nothing where the points are: is its pose (T_world_camera) in the frame of the cloud?"
         )
     if mask is None:
         return seen
     share = float((seen & mask).sum() / seen.sum())
     if share < _MIN_SHARE_IN_MASK:
         raise InvalidView(f"the mask covers {share:.0%} of the points' pixels: is it true on the object's pixels?")
-    return mask
-
-
-def _pixels_of(points: np.ndarray, view: DepthImage) -> np.ndarray:
-    """(h, w) bool, pixels of the view in which the points lie, at the depth that it saw."""
-    height, width = view.depth_m.shape
-    mask = np.zeros((height, width), dtype=bool)
-    pixels, depth = project(points, view.K, view.T_world_camera)
-    seen = depth > 0
-    columns, rows = np.round(pixels[seen]).astype(int).T
-    inside = (rows >= 0) & (rows < height) & (columns >= 0) & (columns < width)
-    rows, columns, depth = rows[inside], columns[inside], depth[seen][inside]
-    agrees = np.abs(view.depth_m[rows, columns] - depth) < 0.01
-    mask[rows[agrees], columns[agrees]] = True
     return mask
 
 

@@ -3,52 +3,35 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import ConvexHull, QhullError
 
 from gfp_grasp.clouds import estimate_normals
-from gfp_grasp.errors import InvalidOption
 from gfp_grasp.transforms import rotation_between
-from gfp_grasp.types import SupportPlane
+from gfp_grasp.types import TABLETOP, SensorProfile, SupportPlane
 
 CAMERA_UPS = ((0.0, -1.0, 0.0), (0.0, 0.0, -1.0), (1.0, 0.0, 0.0), (-1.0, 0.0, 0.0))  # gravity is mostly +y there
 
 
-@dataclass(frozen=True)
-class SupportConfig:
-    """How a support plane is looked for.
+# Multiples of the sensor's noise:
+_INLIER = 4.0  # half the thickness of the plane's slab
+_VOXEL = 8 / 3  # grid that evens out the density, so that a plane counts by its area
+_OUTLINE = 10 / 3  # what is this far beyond the plane's outline still stands within it
 
-    Attributes:
-        inlier_m: Half thickness of the plane's slab, m.
-        max_tilt_deg: Angle between the plane's normal and a given up, degrees.
-        min_share: Points of the plane among all.
-        min_spread: Area of the plane's outline over that of what stands within it: a table reaches beyond its objects.
-        max_below: Points below the plane and within its outline, over those above.
-        min_facing: Share of the plane's points whose own surface faces along its normal within 25 degrees.
-        max_planes: Planes that are tried for each direction, biggest first.
-    """
+MAX_TILT_DEG = 20.0  # between the plane's normal and a given up
+_MIN_SHARE = 0.08  # points of the plane among all
+_MIN_SPREAD = 1.2  # area of the plane's outline over that of what stands within it: a table reaches beyond its objects
+_MAX_BELOW = 0.04  # points below the plane and within its outline, over those above
+_MIN_FACING = 0.6  # share of the plane's points whose own surface faces along its normal, within
+_FACING_DEG = 25.0
+_MAX_PLANES = 3  # that are tried for each direction, biggest first
 
-    inlier_m: float = 0.006
-    max_tilt_deg: float = 20.0
-    min_share: float = 0.08
-    min_spread: float = 1.2
-    max_below: float = 0.04
-    min_facing: float = 0.6
-    max_planes: int = 3
-
-    def __post_init__(self) -> None:
-        if self.inlier_m <= 0 or not 0 < self.max_tilt_deg < 60 or not 0 < self.min_share < 1 or self.max_planes < 1:
-            raise InvalidOption(f"{self}: lengths and counts are positive, max_tilt_deg below 60, min_share below 1")
-
-
-_VOXEL_M = 0.004  # evens out the density, so that a plane counts by its area
 _SAMPLE = 120_000  # points before, and
 _FIT_SAMPLE = 4_000  # points after that evening out: hypotheses need no more
 _TRIPLES = 2000  # that are drawn for the planes, of which the steep ones fall away,
 _HYPOTHESES = 150  # and this many are tried
-_MIN_TRIANGLE_M2 = 1e-7
+_MIN_TRIANGLE = 0.05  # twice its area on the ground, in squares of the noise
 _NUM_NORMALS = 300
 _NORMAL_NEIGHBOURS = 40  # on the 4 mm grid, a disc of 14 mm radius: wide enough against 3 mm of noise
 _CAMERA_TILT_DEG = 50.0  # a camera that looks down at a table by 40 to 90 degrees still has it within this of an axis
@@ -59,7 +42,7 @@ def find_support(
     up: np.ndarray | None = (0.0, 0.0, 1.0),  # type: ignore[assignment]
     *,
     viewpoint: np.ndarray | None = None,
-    config: SupportConfig = SupportConfig(),
+    sensor: SensorProfile = TABLETOP,
 ) -> SupportPlane | None:
     """The plane that the objects of a cloud rest on.
 
@@ -71,7 +54,7 @@ def find_support(
         up: (3,) roughly the plane's normal; None tries the axes of the frame, taken as a camera's (y down).
         viewpoint: (3,) m, where the camera stood; where up is None the plane faces it, and it is taken to be the
             origin unless given.
-        config: Tolerances.
+        sensor: Its noise is the unit of all tolerances.
 
     Returns:
         The plane, its normal towards up or the camera; None where there is no such plane.
@@ -79,18 +62,18 @@ def find_support(
     if len(points) == 0:
         return None
     rng = np.random.default_rng(0)  # the same cloud has the same table
-    sample = _even_sample(np.asarray(points, dtype=np.float64), rng)
+    sample = _even_sample(np.asarray(points, dtype=np.float64), _VOXEL * sensor.sigma_m, rng)
     if len(sample) < 50:
         return None
     directions = CAMERA_UPS if up is None else (up,)
     eye = np.zeros(3) if viewpoint is None else np.asarray(viewpoint, dtype=np.float64)
-    tilt_deg = _CAMERA_TILT_DEG if up is None else config.max_tilt_deg
+    tilt_deg = _CAMERA_TILT_DEG if up is None else MAX_TILT_DEG
     best, best_score = None, 0.0
     for direction in directions:
-        for plane in _planes(sample, np.asarray(direction, dtype=np.float64), tilt_deg, config):
+        for plane in _planes(sample, np.asarray(direction, dtype=np.float64), tilt_deg, sensor.sigma_m):
             if up is None:
                 plane = _facing(plane, eye)
-            score = _support_score(plane, sample, config)
+            score = _support_score(plane, sample, sensor.sigma_m)
             if score > 0.5:  # more than half of everything lies on it: no other can be bigger
                 return plane
             if score > best_score:
@@ -98,29 +81,29 @@ def find_support(
     return best
 
 
-def _even_sample(points: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+def _even_sample(points: np.ndarray, voxel_m: float, rng: np.random.Generator) -> np.ndarray:
     if len(points) > _SAMPLE:
         points = points[np.sort(rng.choice(len(points), _SAMPLE, replace=False))]
-    cells = np.floor((points - points.min(axis=0)) / _VOXEL_M).astype(np.int64)
+    cells = np.floor((points - points.min(axis=0)) / voxel_m).astype(np.int64)
     extent = cells.max(axis=0) + 1
     _, first = np.unique((cells[:, 0] * extent[1] + cells[:, 1]) * extent[2] + cells[:, 2], return_index=True)
     return points[np.sort(first)]
 
 
-def _planes(sample: np.ndarray, up: np.ndarray, tilt_deg: float, config: SupportConfig) -> Iterator[SupportPlane]:
+def _planes(sample: np.ndarray, up: np.ndarray, tilt_deg: float, sigma_m: float) -> Iterator[SupportPlane]:
     """Planes within tilt_deg of up, biggest first, each refined by least squares on its inliers."""
     R = rotation_between(up, (0.0, 0.0, 1.0))  # heights are regressed on the ground, so up must be z
     rest = sample @ R.T
     max_slope = np.tan(np.radians(tilt_deg))
-    min_inliers = max(30, int(config.min_share * len(sample)))
-    for k in range(config.max_planes):
+    min_inliers = max(30, int(_MIN_SHARE * len(sample)))
+    for k in range(_MAX_PLANES):
         if len(rest) < min_inliers:
             return
         fitted = rest[np.random.default_rng(k).permutation(len(rest))[:_FIT_SAMPLE]]
-        plane = _ransac(fitted, max_slope, config.inlier_m, np.random.default_rng(k))
+        plane = _ransac(fitted, max_slope, sigma_m, np.random.default_rng(k))
         if plane is None:
             return
-        inlier = np.abs(_over(plane, rest)) < config.inlier_m
+        inlier = np.abs(_over(plane, rest)) < _INLIER * sigma_m
         if inlier.sum() < min_inliers:
             return
         on = rest[inlier]
@@ -132,7 +115,7 @@ def _planes(sample: np.ndarray, up: np.ndarray, tilt_deg: float, config: Support
         rest = rest[~inlier]
 
 
-def _ransac(points: np.ndarray, max_slope: float, inlier_m: float, rng: np.random.Generator) -> np.ndarray | None:
+def _ransac(points: np.ndarray, max_slope: float, sigma_m: float, rng: np.random.Generator) -> np.ndarray | None:
     """The plane z = a x + b y + c (3,) through three of the points that has most of them near; None: all too steep.
 
     All hypotheses at once: a general RANSAC, which makes one after the other, takes a hundred times as long.
@@ -140,12 +123,12 @@ def _ransac(points: np.ndarray, max_slope: float, inlier_m: float, rng: np.rando
     corners = points[rng.integers(len(points), size=(_TRIPLES, 3))]
     A = np.concatenate([corners[..., :2], np.ones((_TRIPLES, 3, 1))], axis=2)
     # Twice the triangle's area on the ground; of a sliver the plane means nothing.
-    sound = np.abs(np.linalg.det(A)) > _MIN_TRIANGLE_M2
+    sound = np.abs(np.linalg.det(A)) > _MIN_TRIANGLE * sigma_m**2
     planes = np.linalg.solve(A[sound], corners[sound, :, 2:])[..., 0]
     planes = planes[np.hypot(planes[:, 0], planes[:, 1]) < max_slope][:_HYPOTHESES]
     if len(planes) == 0:
         return None
-    near = np.abs(points[:, 2] - planes @ _with_ones(points).T) < inlier_m
+    near = np.abs(points[:, 2] - planes @ _with_ones(points).T) < _INLIER * sigma_m
     return planes[int(np.argmax(near.sum(axis=1)))]
 
 
@@ -162,27 +145,28 @@ def _facing(plane: SupportPlane, eye: np.ndarray) -> SupportPlane:
     return plane if plane.distances(eye[None])[0] >= 0 else SupportPlane(-plane.normal, -plane.height_m)
 
 
-def _support_score(plane: SupportPlane, sample: np.ndarray, config: SupportConfig) -> float:
+def _support_score(plane: SupportPlane, sample: np.ndarray, sigma_m: float) -> float:
     """Share of the sample on the plane where it can be the support, else 0."""
     distances = plane.distances(sample)
     ground = sample @ rotation_between(plane.normal, (0.0, 0.0, 1.0))[:2].T
-    on = np.abs(distances) < config.inlier_m
+    inlier_m = _INLIER * sigma_m
+    on = np.abs(distances) < inlier_m
     outline = _outline(ground[on])
     if outline is None:
         return 0.0
-    inside = _within(outline, ground, margin_m=0.005)
-    above = inside & (distances > 2 * config.inlier_m)
-    below = inside & (distances < -2 * config.inlier_m)
+    inside = _within(outline, ground, margin_m=_OUTLINE * sigma_m)
+    above = inside & (distances > 2 * inlier_m)
+    below = inside & (distances < -2 * inlier_m)
     num_above = int(above.sum())
-    if num_above < 20 or below.sum() > config.max_below * (num_above + on.sum()):
+    if num_above < 20 or below.sum() > _MAX_BELOW * (num_above + on.sum()):
         return 0.0
     # What stands on a table is within its outline, and the table goes on beyond it.
-    if num_above < 0.5 * (distances > 2 * config.inlier_m).sum() and num_above < 0.3 * on.sum():
+    if num_above < 0.5 * (distances > 2 * inlier_m).sum() and num_above < 0.3 * on.sum():
         return 0.0
     standing = _outline(ground[above])
-    if standing is not None and outline.volume < config.min_spread * standing.volume:
+    if standing is not None and outline.volume < _MIN_SPREAD * standing.volume:
         return 0.0
-    if _share_facing_along(plane.normal, sample, on) < config.min_facing:
+    if _share_facing_along(plane.normal, sample, on) < _MIN_FACING:
         return 0.0
     return float(on.mean())
 
@@ -192,7 +176,7 @@ def _share_facing_along(normal: np.ndarray, sample: np.ndarray, on: np.ndarray) 
     chosen = np.flatnonzero(on)
     chosen = chosen[:: -(-len(chosen) // _NUM_NORMALS)]
     normals = estimate_normals(sample, sample[chosen], None, num_neighbours=_NORMAL_NEIGHBOURS)
-    return float((np.abs(normals @ normal) > np.cos(np.radians(25.0))).mean())
+    return float((np.abs(normals @ normal) > np.cos(np.radians(_FACING_DEG))).mean())
 
 
 def _outline(ground: np.ndarray) -> ConvexHull | None:

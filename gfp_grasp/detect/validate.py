@@ -8,29 +8,27 @@ import numpy as np
 
 from gfp_grasp.clouds import distinct_points
 from gfp_grasp.errors import InvalidCloud, TooFewPoints
+from gfp_grasp.types import TABLETOP, SensorProfile
 
 MIN_POINTS = 30  # fewer say nothing about a shape; a mug 2 m away still has about 200
-MAX_EXTENT_M = 5.0  # a table top with its surroundings is smaller; a mug in millimetres is not
-MAX_OBJECT_M = 1.5  # no single object to be grasped by one hand is larger
-MIN_OBJECT_M = 0.015  # the smallest cup is larger, and a depth camera sees no shape in less
 # Thickness over length below which a cloud is a plane or a line. Sensor noise alone gives 1e-3 and more, so a real
 # view of a flat bottle's broad side passes.
 FLATNESS = 1e-4
-# A point farther than this from nearly all others is a stray, and would spoil every mean and every grid.
-_STRAY_M = MAX_EXTENT_M
 # What numpy, torch and foreign objects are seen to raise where no array can be made of them.
 _CONVERSION_ERRORS = (ArithmeticError, AttributeError, LookupError, MemoryError, RuntimeError, TypeError, ValueError)
 _SAMPLE = 20_000  # points that stand for the whole cloud where its spread is measured
 
 
-def clean_cloud(cloud: object, *, min_points: int = MIN_POINTS) -> np.ndarray:
+def clean_cloud(cloud: object, *, min_points: int = MIN_POINTS, sensor: SensorProfile = TABLETOP) -> np.ndarray:
     """Points of anything that holds a cloud, checked.
 
     Args:
         cloud: (n, 3) array-like in metres, also masked or structured with fields x, y and z; a torch tensor, a trimesh
             (`.vertices`), an Open3D point cloud or a PointCloud of this package (`.points`). Rows that are not finite,
-            and points more than 5 m away from nearly all others, are dropped and counted in a warning.
+            and points farther away from nearly all others than a scene is wide (5 m for a depth camera), are dropped
+            and counted in a warning.
         min_points: Different finite points that are needed.
+        sensor: Which extents can be metres.
 
     Returns:
         (n, 3) float64 m, finite, in the order they came; where most are copies of others, these are left out.
@@ -48,13 +46,15 @@ def clean_cloud(cloud: object, *, min_points: int = MIN_POINTS) -> np.ndarray:
     points = _without_many_copies(points)
     if len(points) < min_points:
         _refuse_few(points, num_rows, num_dropped, min_points)
-    _refuse_wrong_unit(points)
-    points, num_strays = _without_strays(points)
+    _refuse_wrong_unit(points, sensor)
+    points, num_strays = _without_strays(points, sensor.scene_m)
     _refuse_flat(points)
     if num_dropped:
         warnings.warn(f"{num_dropped} of {num_rows} rows are not finite; dropped", stacklevel=2)
     if num_strays:
-        warnings.warn(f"{num_strays} points are more than {_STRAY_M:.0f} m from the others; dropped", stacklevel=2)
+        warnings.warn(
+            f"{num_strays} points are more than {sensor.scene_m:.0f} m from the others; dropped", stacklevel=2
+        )
     return points
 
 
@@ -133,23 +133,25 @@ def _refuse_few(points: np.ndarray, num_rows: int, num_dropped: int, min_points:
     )
 
 
-def _refuse_wrong_unit(points: np.ndarray) -> None:
+def _refuse_wrong_unit(points: np.ndarray, sensor: SensorProfile) -> None:
     extent = float(robust_extents(points).max())
-    if extent > MAX_EXTENT_M:
+    if extent > sensor.scene_m:
         raise InvalidCloud(
             f"cloud is {extent:.4g} across and metres are expected: if it is in millimetres, divide it by 1000, "
-            "if in centimetres, by 100; if it is a whole room, crop it to the table"
+            "if in centimetres, by 100; if it is a whole room, crop it to the table; if a LiDAR saw it, say so "
+            '(sensor="lidar")'
         )
-    if extent < MIN_OBJECT_M:
+    if extent < sensor.smallest_m:
         raise InvalidCloud(
-            f"cloud is {extent:.4g} across and metres are expected, at least {MIN_OBJECT_M}: "
+            f"cloud is {extent:.4g} across and metres are expected, at least {sensor.smallest_m} from a "
+            f"{sensor.name} sensor: "
             "if it was normalised or is in another unit, scale it back"
         )
 
 
-def _without_strays(points: np.ndarray) -> tuple[np.ndarray, int]:
+def _without_strays(points: np.ndarray, farther_m: float) -> tuple[np.ndarray, int]:
     low, high = _robust_bounds(points)
-    low, high = low - _STRAY_M, high + _STRAY_M
+    low, high = low - farther_m, high + farther_m
     if (points.min(axis=0) >= low).all() and (points.max(axis=0) <= high).all():
         return points, 0
     near = ((points >= low) & (points <= high)).all(axis=1)

@@ -4,7 +4,6 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from gfp_grasp.register.config import FitConfig, RefineConfig, icp_config, pcrnet_config
-from gfp_grasp.register.evidence import Evidence, gather_evidence
 from gfp_grasp.register.fit import fit_best, fit_primitive
 from gfp_grasp.register.parts import part_is_seen
 from gfp_grasp.register.starts import make_starts
@@ -14,14 +13,12 @@ if TYPE_CHECKING:
     from gfp_grasp.register.pcrnet import PCRNet, mlp, network_input, rotation_of
 
 __all__ = [
-    "Evidence",
     "FitConfig",
     "PCRNet",
     "PoseShape",
     "RefineConfig",
     "fit_best",
     "fit_primitive",
-    "gather_evidence",
     "icp_config",
     "make_starts",
     "mlp",

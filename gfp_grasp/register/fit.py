@@ -7,15 +7,15 @@ from dataclasses import replace
 
 import numpy as np
 
+from gfp_grasp.level import make_level_view
 from gfp_grasp.register.config import FitConfig
-from gfp_grasp.register.evidence import Evidence, gather_evidence
 from gfp_grasp.register.occlusion import blocking_cost, cut_off
 from gfp_grasp.register.pruning import Search, search_starts, total_cost
 from gfp_grasp.register.refine import evaluate_free_space, refine
 from gfp_grasp.register.state import PoseShape
 from gfp_grasp.register.terms import circular_share
 from gfp_grasp.transforms import make_T
-from gfp_grasp.types import Detection, FittedPrimitive, GenericPrimitive
+from gfp_grasp.types import Detection, FittedPrimitive, GenericPrimitive, LevelView
 
 # Cost of free space from which on a cloud without its view is taken to be cut off by something nearer. It is at most
 # 3.0 on 204 views of the validation split and of scans where all is seen, at most 6.7 on 48 with 3 mm of noise, and
@@ -28,17 +28,19 @@ _ROUND_LOG_PRIOR = 3.0  # log odds of a round body beside its share of the membe
 def fit_primitive(
     detection: Detection, primitive: GenericPrimitive, *, config: FitConfig = FitConfig()
 ) -> FittedPrimitive:
-    """Fit pose, scale and shape modes of one primitive to a partial cloud, as `fit_best` does.
+    """Fit pose, scale and shape modes of one primitive to a partial cloud, as `fit_best` does, in the world frame.
 
     Raises:
         TooFewPoints: Too few points to fit anything.
         FitDiverged: No start reached config.max_residual_m.
     """
-    return fit_best(gather_evidence(detection), [(primitive, 0.0)], config=config)
+    view = make_level_view(detection)
+    fit = fit_best(view, [(primitive, 0.0)], config=config)
+    return replace(fit, T_world_object=view.T_world_level @ fit.T_world_object)
 
 
 def fit_best(
-    evidence: Evidence,
+    evidence: LevelView,
     candidates: Sequence[tuple[GenericPrimitive, float]],
     *,
     config: FitConfig = FitConfig(),
@@ -46,13 +48,13 @@ def fit_best(
     """Fit the primitive, among one or several, that explains the points best.
 
     Args:
-        evidence: Points, normals, floor and silhouette of one object.
+        evidence: One object, in its level frame.
         candidates: At least one primitive, each with its negative log prior.
         config: Starts and weights.
 
     Returns:
         The fit with the smallest cost over all primitives, starts and hypotheses; `margin` is the cost of the best
-        start of another hypothesis over it.
+        start of another hypothesis over it. It is in the level frame.
 
     Raises:
         FitDiverged: No primitive reached config.max_residual_m.
@@ -82,7 +84,7 @@ def fit_best(
     )
 
 
-def _is_cut_off(found: Search, evidence: Evidence, config: FitConfig) -> bool:
+def _is_cut_off(found: Search, evidence: LevelView, config: FitConfig) -> bool:
     """Whether the best fit stands so far beyond the silhouette of the cloud that something may hide a part of it.
 
     This is asked only where the silhouette is guessed: a view knows what hides what.
@@ -92,7 +94,7 @@ def _is_cut_off(found: Search, evidence: Evidence, config: FitConfig) -> bool:
     return evaluate_free_space(found.best, found.primitive, evidence, config.thorough) > _OCCLUSION
 
 
-def try_circular(state: PoseShape, primitive: GenericPrimitive, evidence: Evidence, config: FitConfig) -> PoseShape:
+def try_circular(state: PoseShape, primitive: GenericPrimitive, evidence: LevelView, config: FitConfig) -> PoseShape:
     """The same fit with a body that is as deep as it is wide, where the points do not speak against that."""
     (circular,) = refine([state], primitive, evidence, replace(config.thorough, ellipticity_m=_ROUND_M))
     blocking = blocking_cost(circular, primitive, evidence, config.thorough)

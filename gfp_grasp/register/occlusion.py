@@ -15,9 +15,8 @@ from scipy.spatial import KDTree
 
 from gfp_grasp.camera import cast_rays
 from gfp_grasp.register.config import RefineConfig
-from gfp_grasp.register.evidence import Evidence, Silhouette
 from gfp_grasp.register.state import PoseShape
-from gfp_grasp.types import GenericPrimitive
+from gfp_grasp.types import DepthImage, GenericPrimitive, LevelView, Silhouette
 
 # A surface is in front of a point when it is this much nearer: noise and the misfit of the modes are less.
 _HIDDEN_M = 0.012
@@ -34,7 +33,7 @@ _CONTACT = 0.4  # share of the outline's extent along a straight edge that lies 
 _LOWEST = 0.04  # share of the points that count as the lowest seen
 
 
-def cut_off(evidence: Evidence, *, straight: bool = True) -> Evidence:
+def cut_off(evidence: LevelView, *, straight: bool = True) -> LevelView:
     """The evidence of an object, a part of which is hidden by something nearer.
 
     Where a long straight stretch of the outline faces the viewpoint and nothing lies beyond it, that stretch is taken
@@ -50,24 +49,25 @@ def cut_off(evidence: Evidence, *, straight: bool = True) -> Evidence:
     assert evidence.viewpoint is not None
     sight = evidence.viewpoint - evidence.points
     facing = np.einsum("ni,ni->n", evidence.normals, sight) / np.linalg.norm(sight, axis=1) > _FACING_COSINE
-    column, row, _ = silhouette.pixels(evidence.points)
-    seen = np.column_stack([row, column])
+    seen = silhouette.pixel_of(evidence.points)[:, ::-1]  # row, column
     outline = _outline(silhouette)
     line = _straight_edge(outline, facing[KDTree(seen).query(outline)[1]]) if straight else None
-    free = np.argwhere(silhouette.free_depth_m > 0)
+    free = np.argwhere(silhouette.free_range_m > 0)
     if line is None:
         edge = free + silhouette.offset_px[:, free[:, 0], free[:, 1]].T
         unknown = facing[KDTree(seen).query(edge)[1]]
     else:
         normal, offset = line
         unknown = free @ normal > offset - _ON_LINE_PX
-    depth = silhouette.free_depth_m.copy()
-    depth[free[unknown, 0], free[unknown, 1]] = 0.0
-    answer = replace(evidence, silhouette=replace(silhouette, free_depth_m=depth))
+    free_range = silhouette.free_range_m.copy()
+    free_range[free[unknown, 0], free[unknown, 1]] = 0.0
+    answer = replace(evidence, silhouette=replace(silhouette, free_range_m=free_range))
     if line is None:
         return answer
     (down, right), offset = line
-    cut = np.array([right, down, -offset]) @ silhouette.K @ silhouette.T_camera_world[:3, :3]
+    view = silhouette.view
+    assert isinstance(view, DepthImage)  # as every silhouette is that is guessed from points
+    cut = np.array([right, down, -offset]) @ view.K @ view.T_world_camera[:3, :3].T
     cut /= np.linalg.norm(cut)
     hides_foot = not evidence.floor_seen and _foot_is_on(line, seen, evidence)
     above, below = evidence.floor_sigma_m
@@ -76,7 +76,7 @@ def cut_off(evidence: Evidence, *, straight: bool = True) -> Evidence:
 
 def _outline(silhouette: Silhouette) -> np.ndarray:
     """Pixels (o, 2), row and column, of the object that have a neighbour outside the object."""
-    mask = silhouette.free_depth_m == 0
+    mask = silhouette.free_range_m == 0
     return np.argwhere(mask & np.logical_not(ndimage.binary_erosion(mask)))
 
 
@@ -108,14 +108,14 @@ def _straight_edge(outline: np.ndarray, facing: np.ndarray) -> tuple[np.ndarray,
     return normal, float(offsets[best])
 
 
-def _foot_is_on(line: tuple[np.ndarray, float], seen: np.ndarray, evidence: Evidence) -> bool:
+def _foot_is_on(line: tuple[np.ndarray, float], seen: np.ndarray, evidence: LevelView) -> bool:
     normal, offset = line
     heights = evidence.points @ evidence.up
     lowest = seen[heights <= np.quantile(heights, _LOWEST)]
     return bool((lowest @ normal > offset - 4 * _ON_LINE_PX).mean() > 0.5)
 
 
-def blocking_cost(state: PoseShape, primitive: GenericPrimitive, evidence: Evidence, config: RefineConfig) -> float:
+def blocking_cost(state: PoseShape, primitive: GenericPrimitive, evidence: LevelView, config: RefineConfig) -> float:
     """Cost of a surface that stands between the viewpoint and what was seen from there.
 
     Without it a cup's inside fits the inside of the same cup turned over, whose bottom hides it. A hidden point counts
@@ -132,7 +132,7 @@ def blocking_cost(state: PoseShape, primitive: GenericPrimitive, evidence: Evide
     return 0.5 * config.effective_points * blocked * float((robust_m / sigma) ** 2)
 
 
-def truncation_cost(state: PoseShape, primitive: GenericPrimitive, evidence: Evidence) -> float:
+def truncation_cost(state: PoseShape, primitive: GenericPrimitive, evidence: LevelView) -> float:
     """Cost of a surface that ends where an occluder hides how it goes on."""
     if evidence.cut is None:
         return 0.0

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from scipy.spatial import KDTree
 
-from gfp_grasp.register.evidence import Evidence
 from gfp_grasp.register.surface import surface_samples
-from gfp_grasp.types import FittedPrimitive
+from gfp_grasp.types import FittedPrimitive, LevelView
 
 # A part is believed when this many of the thinned points lie on it and stand off the rest by more than noise.
 _PART_POINTS = 6
@@ -14,7 +13,7 @@ _OFF_REST_M = 0.005
 _ON_PART_M = 0.008
 
 
-def part_is_seen(fit: FittedPrimitive, part: str, evidence: Evidence) -> bool:
+def part_is_seen(fit: FittedPrimitive, part: str, evidence: LevelView) -> bool:
     """Whether points support an optional part of the fit: they lie near it, and away from the rest of the body."""
     samples = surface_samples(fit.primitive)
     local = samples.local(fit.coefficients) * fit.scale

@@ -24,11 +24,10 @@ from torch import Tensor, nn
 from gfp_grasp.assets import data_file
 from gfp_grasp.clouds import thin
 from gfp_grasp.parallel import one_thread
-from gfp_grasp.register.evidence import Evidence
 from gfp_grasp.register.state import PoseShape
 from gfp_grasp.register.surface import surface_samples
 from gfp_grasp.transforms import rotation_between
-from gfp_grasp.types import GenericPrimitive
+from gfp_grasp.types import GenericPrimitive, LevelView
 
 NUM_POINTS = 128
 ITERATIONS = 5
@@ -96,7 +95,7 @@ def network_input(
     return (world - centre) / radius, (seen - centre) / radius, centre, radius
 
 
-def correct_starts(states: list[PoseShape], primitive: GenericPrimitive, evidence: Evidence) -> list[PoseShape]:
+def correct_starts(states: list[PoseShape], primitive: GenericPrimitive, evidence: LevelView) -> list[PoseShape]:
     """Starts moved by the network, all of them in one batch."""
     if not states:
         return states

@@ -9,12 +9,11 @@ import numpy as np
 
 from gfp_grasp.errors import FitDiverged
 from gfp_grasp.register.config import FitConfig
-from gfp_grasp.register.evidence import Evidence
 from gfp_grasp.register.occlusion import blocking_cost, truncation_cost
 from gfp_grasp.register.refine import evaluate_states, refine
 from gfp_grasp.register.starts import make_starts
 from gfp_grasp.register.state import PoseShape
-from gfp_grasp.types import GenericPrimitive
+from gfp_grasp.types import GenericPrimitive, LevelView
 
 _HEAD_STEPS = 2  # quick steps that every start takes
 _ABANDON_MARGIN = 100.0  # a start that is behind by this cost after the quick steps never comes back; ours
@@ -49,7 +48,7 @@ class Search:
 
 
 def search_starts(
-    evidence: Evidence, candidates: Sequence[tuple[GenericPrimitive, float]], config: FitConfig
+    evidence: LevelView, candidates: Sequence[tuple[GenericPrimitive, float]], config: FitConfig
 ) -> Search:
     """Find the primitive that explains the points best, with its states.
 
@@ -112,7 +111,7 @@ def _is_same_place(a: PoseShape, b: PoseShape) -> bool:
     )
 
 
-def _tried(primitive: GenericPrimitive, prior_cost: float, evidence: Evidence, config: FitConfig) -> Search:
+def _tried(primitive: GenericPrimitive, prior_cost: float, evidence: LevelView, config: FitConfig) -> Search:
     """Every start, refined by the first steps."""
     states = make_starts(primitive, evidence, config.hypotheses)
     if config.size is not None:
@@ -128,7 +127,7 @@ def _tried(primitive: GenericPrimitive, prior_cost: float, evidence: Evidence, c
     return Search(primitive, prior_cost, sorted(states, key=total_cost))
 
 
-def _pruned(search: Search, evidence: Evidence, config: FitConfig) -> Search:
+def _pruned(search: Search, evidence: LevelView, config: FitConfig) -> Search:
     """The leaders among the better share of the starts, after the rest of the quick steps."""
     states, tail = search.states, config.quick.steps[_HEAD_STEPS:]
     if tail:
@@ -144,7 +143,7 @@ def _pruned(search: Search, evidence: Evidence, config: FitConfig) -> Search:
     return replace(search, states=sorted(leaders, key=total_cost))
 
 
-def _finished(search: Search, evidence: Evidence, config: FitConfig) -> Search:
+def _finished(search: Search, evidence: LevelView, config: FitConfig) -> Search:
     """The leaders refined to the end, and after them those that were pruned on the way."""
     primitive, limit = search.primitive, total_cost(search.best) + _ABANDON_MARGIN
     pruned = [state for state in search.states if total_cost(state) > limit]

@@ -13,11 +13,10 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gfp_grasp.register.config import RefineConfig
-from gfp_grasp.register.evidence import Evidence
 from gfp_grasp.register.posterior import ShapeModel, evaluate_costs, linearise, shape_model
 from gfp_grasp.register.state import PoseShape, StateBatch
 from gfp_grasp.register.terms import FreeSpaceTerm, make_terms
-from gfp_grasp.types import GenericPrimitive
+from gfp_grasp.types import GenericPrimitive, LevelView
 
 _MAX_COEFFICIENT = 3.0
 # Longest step in rotation (rad), translation (m), log scale and coefficients.
@@ -26,7 +25,7 @@ _DAMPING = 1e-3  # share by which the diagonal of the normal matrix is raised
 
 
 def refine(
-    states: Sequence[PoseShape], primitive: GenericPrimitive, evidence: Evidence, config: RefineConfig = RefineConfig()
+    states: Sequence[PoseShape], primitive: GenericPrimitive, evidence: LevelView, config: RefineConfig = RefineConfig()
 ) -> list[PoseShape]:
     """Improve starts, each by itself; the results carry their cost and residual.
 
@@ -49,7 +48,7 @@ def refine(
 
 
 def evaluate_states(
-    states: Sequence[PoseShape], primitive: GenericPrimitive, evidence: Evidence, config: RefineConfig = RefineConfig()
+    states: Sequence[PoseShape], primitive: GenericPrimitive, evidence: LevelView, config: RefineConfig = RefineConfig()
 ) -> list[PoseShape]:
     """States as they are, with their cost and residual."""
     model = shape_model(primitive, config.num_samples, config.num_modes)
@@ -58,7 +57,7 @@ def evaluate_states(
 
 
 def evaluate_free_space(
-    state: PoseShape, primitive: GenericPrimitive, evidence: Evidence, config: RefineConfig
+    state: PoseShape, primitive: GenericPrimitive, evidence: LevelView, config: RefineConfig
 ) -> float:
     """The part of a state's cost that comes from its free-space violation."""
     if evidence.silhouette is None:

@@ -7,10 +7,9 @@ from functools import lru_cache
 
 import numpy as np
 
-from gfp_grasp.register.evidence import Evidence
 from gfp_grasp.register.state import PoseShape
 from gfp_grasp.transforms import rotation_about, rotation_between
-from gfp_grasp.types import GenericPrimitive
+from gfp_grasp.types import GenericPrimitive, LevelView
 
 _STANDING_SIGMA_RAD = np.deg2rad(1.0)
 _LYING_SIGMA_RAD = np.deg2rad(15.0)
@@ -18,7 +17,7 @@ _YAWS = 8  # of a body without symmetry
 _CUT = 0.5  # cosine from which on a side counts as cut off
 
 
-def make_starts(primitive: GenericPrimitive, evidence: Evidence, hypotheses: tuple[str, ...]) -> list[PoseShape]:
+def make_starts(primitive: GenericPrimitive, evidence: LevelView, hypotheses: tuple[str, ...]) -> list[PoseShape]:
     """Starts for each hypothesis, from the box of the points and the direction they were seen from.
 
     The hidden side is placed by the seen width: an object is about as deep as it is wide. A way of resting that the
@@ -76,7 +75,7 @@ class _LyingBox:
 
 
 @lru_cache(maxsize=8)  # one evidence serves several primitives
-def _box_along(evidence: Evidence, hypothesis: str) -> _Box:
+def _box_along(evidence: LevelView, hypothesis: str) -> _Box:
     toward = _toward_viewer(evidence)
     axis = evidence.up if hypothesis == "upright" else -evidence.up
     across = np.cross(axis, toward)
@@ -94,7 +93,7 @@ def _box_along(evidence: Evidence, hypothesis: str) -> _Box:
 
 
 @lru_cache(maxsize=8)
-def _lying_boxes(evidence: Evidence) -> tuple[_LyingBox, ...]:
+def _lying_boxes(evidence: LevelView) -> tuple[_LyingBox, ...]:
     found = []
     for axis in _long_axes(evidence):
         flat = np.cross(evidence.up, axis)
@@ -106,7 +105,7 @@ def _lying_boxes(evidence: Evidence) -> tuple[_LyingBox, ...]:
 
 
 def _standing(
-    primitive: GenericPrimitive, evidence: Evidence, hypothesis: str, box: _Box, facing: np.ndarray
+    primitive: GenericPrimitive, evidence: LevelView, hypothesis: str, box: _Box, facing: np.ndarray
 ) -> PoseShape:
     """A start that stands on either end and whose x is as near to facing as it can be.
 
@@ -130,7 +129,7 @@ def _standing(
     return _state(primitive, R, centre, wide, long, _STANDING_SIGMA_RAD, hypothesis)
 
 
-def _lying(primitive: GenericPrimitive, evidence: Evidence, box: _LyingBox) -> PoseShape:
+def _lying(primitive: GenericPrimitive, evidence: LevelView, box: _LyingBox) -> PoseShape:
     """A start that lies along an axis, on the support, and is as high as the points."""
     R = _frame(box.axis, evidence.up)
     along, height = (primitive.vertices @ (R.T @ np.column_stack([box.axis, evidence.up]))).T
@@ -174,7 +173,7 @@ def _state(
     )
 
 
-def _cosine_in_picture(evidence: Evidence, direction: np.ndarray) -> float:
+def _cosine_in_picture(evidence: LevelView, direction: np.ndarray) -> float:
     """Cosine between a direction, as it is seen, and the direction in which the object is cut off."""
     assert evidence.cut is not None
     assert evidence.viewpoint is not None
@@ -209,7 +208,7 @@ def _complete_ends(
 
 
 @lru_cache(maxsize=8)
-def _toward_viewer(evidence: Evidence) -> np.ndarray:
+def _toward_viewer(evidence: LevelView) -> np.ndarray:
     """Horizontal unit direction from the points to the viewer; without one, the shortest side of the points."""
     up = evidence.up
     flat = np.eye(3) - np.outer(up, up)
@@ -223,7 +222,7 @@ def _toward_viewer(evidence: Evidence) -> np.ndarray:
     return basis @ vectors[:, 0]
 
 
-def _long_axes(evidence: Evidence) -> list[np.ndarray]:
+def _long_axes(evidence: LevelView) -> list[np.ndarray]:
     """Horizontal directions that the axis of a lying object may have: along the points and across them, both ways."""
     basis = rotation_between((0, 0, 1), evidence.up)[:, :2]
     flat = (evidence.points - evidence.points.mean(axis=0)) @ basis

@@ -16,9 +16,8 @@ import numpy as np
 
 from gfp_grasp.meshes import vertex_normals
 from gfp_grasp.register.config import RefineConfig
-from gfp_grasp.register.evidence import Evidence, Silhouette
 from gfp_grasp.register.posterior import NormalEquations, ResidualTerm, cross
-from gfp_grasp.types import OUTSIDE, GenericPrimitive
+from gfp_grasp.types import OUTSIDE, GenericPrimitive, LevelView, Silhouette
 
 # In the search for the nearest sample, normals that differ by one unit (60 degrees) count like this distance.
 _NORMAL_LENGTH_M = 0.02
@@ -30,7 +29,7 @@ _BANDS = 8  # of the height, each with an ellipticity of its own
 _MIN_VERTICES = 12
 
 
-def make_terms(evidence: Evidence, config: RefineConfig) -> list[ResidualTerm]:
+def make_terms(evidence: LevelView, config: RefineConfig) -> list[ResidualTerm]:
     """All terms of the posterior of one object."""
     terms: list[ResidualTerm] = [PointTerm(evidence, config)]
     if config.free_space and evidence.silhouette is not None:
@@ -47,7 +46,7 @@ def make_terms(evidence: Evidence, config: RefineConfig) -> list[ResidualTerm]:
 class PointTerm:
     """Observed points lie on the surface; this term sets the residual, too."""
 
-    evidence: Evidence
+    evidence: LevelView
     config: RefineConfig
 
     def add(self, sums: NormalEquations) -> None:
@@ -96,7 +95,7 @@ class FreeSpaceTerm:
 class SupportTerm:
     """The lowest point touches the support."""
 
-    evidence: Evidence
+    evidence: LevelView
 
     def add(self, sums: NormalEquations) -> None:
         """See `ResidualTerm`."""
@@ -173,7 +172,7 @@ class RoundnessTerm:
         sums.cost += 0.5 * np.einsum("si,ij,sj->s", u, gram, u) / self.sigma_m**2
 
 
-def match_points(world: np.ndarray, normals: np.ndarray, evidence: Evidence) -> tuple[np.ndarray, np.ndarray]:
+def match_points(world: np.ndarray, normals: np.ndarray, evidence: LevelView) -> tuple[np.ndarray, np.ndarray]:
     """The sample of the surface on which each observed point is seen to lie.
 
     It is the nearest one in position and normal, so that a thin wall keeps its two sides apart; where there is a

@@ -19,10 +19,11 @@ from scipy.spatial import KDTree
 
 from gfp_grasp.deform import SnakeConfig, TemplatePoints, evolve, patch_unit_m, template_points
 from gfp_grasp.errors import FitDiverged, TooFewPoints
+from gfp_grasp.level import make_level_view
 from gfp_grasp.meshes import crossing_faces, sample_surface, vertex_normals
 from gfp_grasp.parallel import pmap
 from gfp_grasp.primitives import load_kinds
-from gfp_grasp.register import FitConfig, fit_best, gather_evidence, part_is_seen
+from gfp_grasp.register import FitConfig, fit_best, part_is_seen
 from gfp_grasp.train.views import View, cached_views
 from gfp_grasp.transforms import apply_T, invert_T
 from gfp_grasp.types import FittedPrimitive, GenericPrimitive
@@ -149,29 +150,29 @@ def _cached_label(view: View, *, folder: Path, fit: FitConfig) -> tuple[Label | 
 
 
 def _label(view: View, config: FitConfig, num_modes: int, *, support: bool) -> tuple[Label | None, str]:
-    detection = view.detection(support=support)
     try:
-        evidence = gather_evidence(detection)
+        level = make_level_view(view.detection(support=support))
         # How it rests is given: a fit that stands on its head has no label.
         candidates = [(primitive, 0.0) for primitive in _primitives_of(view.family, num_modes)]
-        fit = fit_best(evidence, candidates, config=replace(config, hypotheses=(view.resting,)))
+        fit = fit_best(level, candidates, config=replace(config, hypotheses=(view.resting,)))
     except (FitDiverged, TooFewPoints):
         return None, "not fitted"
-    twin = fit.primitive.twin is not None and not part_is_seen(fit, fit.primitive.spec.optional_parts[0].name, evidence)
+    twin = fit.primitive.twin is not None and not part_is_seen(fit, fit.primitive.spec.optional_parts[0].name, level)
     if twin:
         assert fit.primitive.twin is not None
         fit = replace(fit, primitive=fit.primitive.twin)
     mesh = view.source.load_mesh()
     points, normals, _ = sample_surface(mesh, 12000, np.random.default_rng(view.seed))
-    T = invert_T(fit.T_world_object) @ view.T_world_object
+    T_object_world = invert_T(level.T_world_level @ fit.T_world_object)
+    T = T_object_world @ view.T_world_object
     target, residual = label_fit(fit, apply_T(T, points), normals @ T[:3, :3].T)
     if residual > _MAX_RESIDUAL_M:
         return None, "residual"
     if len(crossing_faces(target, fit.primitive.faces)) > 0.01 * len(target):
         return None, "folded"
     vertices = fit.primitive.shape(fit.coefficients, fit.scale)
-    viewpoint = apply_T(invert_T(fit.T_world_object), view.viewpoint)
-    template = template_points(fit, detection)
+    viewpoint = apply_T(T_object_world, view.viewpoint)
+    template = template_points(fit, level)
     return Label(fit.primitive.name, twin, vertices, target, template, viewpoint, fit.coefficients, fit.scale), "kept"
 
 

@@ -14,9 +14,9 @@ import torch
 from torch import Tensor, nn
 
 from gfp_grasp.assets import data_dir
-from gfp_grasp.observation import canonical_frame
+from gfp_grasp.level import make_level_view
 from gfp_grasp.primitives import load_primitive
-from gfp_grasp.register import PCRNet, PoseShape, gather_evidence, make_starts, network_input, rotation_of
+from gfp_grasp.register import PCRNet, PoseShape, make_starts, network_input, rotation_of
 from gfp_grasp.shapes import FAMILIES
 from gfp_grasp.train.loop import Batch, LoopConfig, shuffled, train, write_weights
 from gfp_grasp.train.views import cached_views
@@ -98,9 +98,8 @@ def _samples(
     for family in FAMILIES:
         primitive = load_primitive(family)
         for view in cached_views(family, split, num_views=num_views, limit=limit, folder=runs / "views"):
-            detection, T_world_here = canonical_frame(view.detection())
-            T_here_object = invert_T(T_world_here) @ view.T_world_object
-            evidence = gather_evidence(detection)
+            evidence = make_level_view(view.detection())
+            T_here_object = invert_T(evidence.T_world_level) @ view.T_world_object
             near = [
                 s for s in make_starts(primitive, evidence, (view.resting,)) if _is_near(s, T_here_object, primitive)
             ]

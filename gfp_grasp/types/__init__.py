@@ -17,8 +17,8 @@ from gfp_grasp.types.grasping import (
     Outcome,
     TrueObject,
 )
+from gfp_grasp.types.level import LevelView, Silhouette
 from gfp_grasp.types.observation import (
-    DepthImage,
     Detection,
     OrientedBox,
     PointCloud,
@@ -39,15 +39,20 @@ from gfp_grasp.types.result import (
     CollisionMesh,
     CompletedShape,
 )
+from gfp_grasp.types.sensor import LIDAR, SENSORS, TABLETOP, SensorProfile, get_sensor
+from gfp_grasp.types.views import DepthImage, RangeImage, View
 
 __all__ = [
     "BODY_REGIONS",
     "DATASETS",
     "INSIDE",
     "KEEP_RULES",
+    "LIDAR",
     "OUTSIDE",
     "REASONS",
     "RESTS",
+    "SENSORS",
+    "TABLETOP",
     "CategorySpec",
     "CollisionMesh",
     "CompletedShape",
@@ -57,13 +62,19 @@ __all__ = [
     "FittedPrimitive",
     "GenericPrimitive",
     "Grasp",
+    "LevelView",
     "OptionalPart",
     "OrientedBox",
     "Outcome",
     "PointCloud",
+    "RangeImage",
+    "SensorProfile",
+    "Silhouette",
     "SupportPlane",
     "Symmetry",
     "TrueObject",
     "Variant",
+    "View",
     "default_spec",
+    "get_sensor",
 ]

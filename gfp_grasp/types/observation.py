@@ -1,4 +1,4 @@
-"""What a sensor saw: views, clouds, the support, and one detected object."""
+"""What was seen: clouds, the support, and one detected object."""
 
 from __future__ import annotations
 
@@ -8,44 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from gfp_grasp.errors import InvalidCloud, InvalidView
-from gfp_grasp.transforms import is_rotation
-from gfp_grasp.types.arrays import checked_matrix, checked_numbers, checked_vector, freeze
-
-_FARTHEST_M = 50.0  # depth cameras end at 10 m; a picture in millimetres begins at 100
-
-
-@dataclass(frozen=True, eq=False)
-class DepthImage:
-    """One depth picture.
-
-    Attributes:
-        depth_m: (h, w) float32 m along the optical axis; 0 where nothing came back.
-        K: (3, 3) float64 px, pinhole intrinsics; pixel centres are at whole numbers.
-        T_world_camera: (4, 4) float64, pose of the OpenCV camera frame.
-    """
-
-    depth_m: np.ndarray
-    K: np.ndarray
-    T_world_camera: np.ndarray
-
-    def __post_init__(self) -> None:
-        with np.errstate(over="ignore"):
-            depth = checked_numbers(self.depth_m, "depth_m", InvalidView).astype(np.float32)
-        if depth.ndim != 2 or depth.size == 0:
-            raise InvalidView(f"depth_m has shape {depth.shape}; an (h, w) picture in metres is expected")
-        depth = np.where(np.isfinite(depth) & (depth > 0), depth, np.float32(0))
-        far = float(np.median(depth[depth > 0])) if depth.any() else 0.0
-        if far > _FARTHEST_M:
-            raise InvalidView(f"depth_m has a median of {far:.4g} and metres are expected: divide millimetres by 1000")
-        freeze(self, "depth_m", depth)
-        K = checked_matrix(self.K, (3, 3), "K", InvalidView)
-        if K[0, 0] <= 0 or K[1, 1] <= 0:
-            raise InvalidView(f"focal lengths are {K[0, 0]}, {K[1, 1]} px; both must be positive")
-        freeze(self, "K", K)
-        T = checked_matrix(self.T_world_camera, (4, 4), "T_world_camera", InvalidView)
-        if not is_rotation(T[:3, :3]):
-            raise InvalidView("T_world_camera is no rigid motion: a rotation without scale or mirror is expected")
-        freeze(self, "T_world_camera", T)
+from gfp_grasp.types.arrays import checked_matrix, checked_vector, freeze
+from gfp_grasp.types.sensor import TABLETOP, SensorProfile
+from gfp_grasp.types.views import View
 
 
 @dataclass(frozen=True, eq=False)
@@ -114,9 +79,10 @@ class Detection:
         category: Best class; "" where no class was asked for.
         scores: Probability of each class that is known, sums to one; empty where no class was asked for.
         box: Oriented box of the observed points, its z along up.
-        view: The whole depth picture, for free space, or None.
+        view: All that the sensor saw, for free space, or None.
         mask: (h, w) bool, this object's pixels in the view, or None.
-        sensor_sigma_m: Standard deviation of the depth noise, as given or estimated.
+        sensor_sigma_m: Standard deviation of the range noise, as given or estimated.
+        sensor: What the sensor is like.
     """
 
     cloud: PointCloud
@@ -125,9 +91,10 @@ class Detection:
     category: str
     scores: Mapping[str, float]
     box: OrientedBox
-    view: DepthImage | None = None
+    view: View | None = None
     mask: np.ndarray | None = None
     sensor_sigma_m: float = 0.0015
+    sensor: SensorProfile = TABLETOP
 
     def __post_init__(self) -> None:
         freeze(self, "up", checked_vector(self.up, 3, "up", InvalidCloud))
@@ -135,6 +102,6 @@ class Detection:
             if self.view is None:
                 raise InvalidView("a mask came without its view: give both, or neither")
             mask = np.asarray(self.mask, dtype=bool)
-            if mask.shape != self.view.depth_m.shape:
-                raise InvalidView(f"mask has shape {mask.shape}, the depth picture {self.view.depth_m.shape}")
+            if mask.shape != self.view.shape:
+                raise InvalidView(f"mask has shape {mask.shape}, the view {self.view.shape}")
             freeze(self, "mask", mask)

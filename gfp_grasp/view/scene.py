@@ -9,7 +9,6 @@ from dataclasses import dataclass
 import numpy as np
 import trimesh
 
-from gfp_grasp.camera import backproject
 from gfp_grasp.captures import Capture, complete_capture
 from gfp_grasp.completion import Completion
 from gfp_grasp.drawing import Item, items_of, make_item
@@ -111,7 +110,7 @@ def scene_cloud(
         Points (n, 3) m, world frame, and labels (n,) int: the number of the object in whose cluster the point is,
         SUPPORT, or OTHER.
     """
-    points = backproject(image).reshape(-1, 3)
+    points = image.points().reshape(-1, 3)
     labels = _labels(points, image, completions)
     keep = np.isfinite(points).all(axis=1)
     if completions:
