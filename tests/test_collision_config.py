@@ -44,6 +44,12 @@ def test_a_switch_is_true_or_false(name: str):
             DecomposeConfig(**{name: value})  # pyright: ignore[reportArgumentType]
 
 
+def test_no_time_and_no_concavity_are_refused():
+    for options in ({"time_limit_s": 0.0}, {"real_metric": True, "threshold": 0.0}):
+        with pytest.raises(InvalidOption, match="above 0"):
+            DecomposeConfig(**options)  # pyright: ignore[reportArgumentType]
+
+
 def test_no_limit_of_parts_or_memory_is_legal():
     assert DecomposeConfig(max_convex_hull=-1, memory_limit_mb=None).memory_limit_mb is None
 

@@ -60,6 +60,15 @@ def test_the_faces_of_a_hairline_crack_are_no_surface():
     assert largest < 2e-3
 
 
+@pytest.mark.parametrize("step_m", [3e-4, -3e-4])
+def test_a_part_that_is_a_little_thicker_or_thinner_than_the_mesh_counts_from_both_sides(step_m: float):
+    bar = trimesh.creation.box(bounds=[[0, 0, 0], [0.2, 0.02, 0.03]]).subdivide().subdivide().subdivide()
+    parts = [box_part([0, 0, 0], [0.1, 0.02, 0.03]), box_part([0.1, 0, 0], [0.2, 0.02, 0.03 + step_m])]
+    mean, _, largest = union_error_m(parts, bar, count=8000, rng=rng())
+    assert mean == pytest.approx(3e-4 * 0.1 * 0.02 / bar.area, rel=0.1)
+    assert 2.9e-4 < largest < 1.5e-3
+
+
 def test_a_slot_that_parts_leave_open_is_an_error_of_its_depth():
     block = trimesh.creation.box(bounds=[[0, 0, 0], [0.1, 0.06, 0.04]]).subdivide().subdivide().subdivide()
     slotted = [box_part([0, 0, 0], [0.045, 0.06, 0.04]), box_part([0.055, 0, 0], [0.1, 0.06, 0.04])]

@@ -63,6 +63,14 @@ def test_every_level_has_its_error_and_the_finest_is_the_mesh():
     assert found.errors_m[1, 1] < 1e-4
 
 
+def test_a_score_of_parts_is_kept_whole():
+    rows = tuple(box_part([0.01 * i, 0, 0], [0.01 * (i + 1), 0.02 + 0.001 * i, 0.03]) for i in range(20))
+    whole = trimesh.boolean.union([part.to_trimesh() for part in rows])
+    found = levels_of(rows, whole)
+    assert len(found.parts) == len(found.errors_m) == 20
+    assert found.errors_m[19, 0] < 1e-4
+
+
 def test_no_level_has_more_parts_or_corners_than_a_primitive_may(monkeypatch: pytest.MonkeyPatch):
     monkeypatch.setattr(levels, "_MOST", 3)
     ball = trimesh.creation.icosphere(subdivisions=3)

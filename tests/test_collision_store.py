@@ -74,6 +74,15 @@ def test_a_broken_file_is_made_anew(folder: Path, spoil: bytes | None):
     assert same(first, found)
 
 
+def test_notes_come_back_as_plain_values(folder: Path):
+    notes = {"a": np.float64(1.5), "b": np.bool_(True), "c": Path("x"), "d": ("lost", "again"), "e": None, "f": 3}
+    write_parts(key_of("notes"), replace(hull(box()), notes=notes))
+    found = read_parts(key_of("notes"))
+    assert found is not None
+    assert found.notes == {**notes, "a": 1.5, "b": True, "c": "x"}
+    assert [type(value) for value in found.notes.values()] == [float, bool, str, tuple, type(None), int]
+
+
 def test_no_single_wrong_byte_raises_or_changes_what_comes_back(folder: Path):
     key, kept = key_of("box"), hull(box())
     write_parts(key, kept)
