@@ -11,8 +11,9 @@ from pathlib import Path
 import numpy as np
 
 from gfp_grasp.assets import data_dir
+from gfp_grasp.collision import parts_from_arrays, parts_to_arrays
 from gfp_grasp.scenes import ObjectSource, load_objects, mesh_sha256
-from gfp_grasp.types import CollisionMesh, ConvexPart, TrueObject
+from gfp_grasp.types import CollisionMesh, TrueObject
 
 FILE = "demo_parts.npz"
 # Families and places in their held-out splits: objects unlike each other, each narrow enough somewhere for the gripper.
@@ -38,9 +39,7 @@ def write_parts(objects: Sequence[TrueObject], path: Path) -> None:
     for thing in objects:
         key = mesh_sha256(thing.mesh)
         arrays[f"{key}/error_m"] = np.array(thing.collision.error_m)
-        for i, part in enumerate(thing.collision.parts):
-            arrays[f"{key}/v{i:03d}"] = part.vertices.astype(np.float32)
-            arrays[f"{key}/f{i:03d}"] = part.faces.astype(np.int32)
+        arrays |= parts_to_arrays(thing.collision.parts, prefix=f"{key}/", dtype=np.float32)
     np.savez_compressed(path, **arrays)  # pyright: ignore[reportArgumentType]
 
 
@@ -54,7 +53,5 @@ def read_parts(path: Path) -> dict[str, CollisionMesh]:
 
 
 def _collision(arrays: dict[str, np.ndarray], key: str) -> CollisionMesh:
-    names = sorted(name for name in arrays if name.startswith(f"{key}/v"))
-    parts = tuple(ConvexPart(arrays[name], arrays[name.replace("/v", "/f")]) for name in names)
     mean, high, largest = arrays[f"{key}/error_m"].tolist()
-    return CollisionMesh(parts, (mean, high, largest), "cuts", 0.0)
+    return CollisionMesh(parts_from_arrays(arrays, prefix=f"{key}/"), (mean, high, largest), "cuts", 0.0)

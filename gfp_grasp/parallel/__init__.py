@@ -1,7 +1,7 @@
 """Independent jobs over processes of this machine or of a cluster, with the same answer wherever they run."""
 
-from gfp_grasp.parallel.jobs import pmap
-from gfp_grasp.parallel.lost import ATTEMPTS
+from gfp_grasp.parallel.jobs import Progress, pmap
+from gfp_grasp.parallel.processes import ATTEMPTS
 from gfp_grasp.parallel.threads import one_thread
 
-__all__ = ["ATTEMPTS", "one_thread", "pmap"]
+__all__ = ["ATTEMPTS", "Progress", "one_thread", "pmap"]

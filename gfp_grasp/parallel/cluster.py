@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Sequence
 from typing import Any, TypeVar
 
 from gfp_grasp.errors import InvalidOption
-from gfp_grasp.parallel.lost import ATTEMPTS, Lost, given_up
+from gfp_grasp.parallel.processes import ATTEMPTS, Lost, given_up
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from gfp_grasp.errors import InvalidOption
-from gfp_grasp.parallel.lost import Lost
-from gfp_grasp.parallel.processes import over_processes
+from gfp_grasp.parallel.processes import Lost, over_processes
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")
+# Wraps a stream of results, told how many there will be; a progress bar, say.
+Progress = Callable[[Iterable[Any], int], Iterable[Any]]
 
 
 def pmap(
@@ -20,7 +21,7 @@ def pmap(
     *,
     workers: int = 1,
     ray: str | None = None,
-    progress: Callable[[Iterable[Result], int], Iterable[Result]] | None = None,
+    progress: Progress | None = None,
     keep: Callable[[Job, Result], None] | None = None,
     lost: Lost | None = None,
 ) -> list[Result]:

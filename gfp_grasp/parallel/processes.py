@@ -9,12 +9,16 @@ from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import suppress
 from multiprocessing import get_context, parent_process
-from typing import TypeVar
+from typing import Any, TypeVar
 
-from gfp_grasp.parallel.lost import ATTEMPTS, Lost, given_up
+from gfp_grasp.errors import WorkerLost
 
 Job = TypeVar("Job")
 Result = TypeVar("Result")
+# Makes the result of a job whose process died ATTEMPTS times.
+Lost = Callable[[Any, WorkerLost], Any]
+# A job that takes its process along so often, when it is alone in it, is given up.
+ATTEMPTS = 3
 
 
 def over_processes(
@@ -75,3 +79,17 @@ def _alone(function: Callable[[Job], Result], job: Job, lost: Lost | None) -> Re
         with suppress(BrokenProcessPool):
             return next(_pooled(function, {0: job}, 1))[1]
     return given_up(job, lost)
+
+
+def given_up(job: object, lost: Lost | None) -> Any:
+    """The result of a job that no process survived.
+
+    Raises:
+        WorkerLost: Nobody makes one.
+    """
+    error = WorkerLost(
+        f"{ATTEMPTS} processes died under {job!r}, killed or out of memory: try fewer workers, or leave it out"
+    )
+    if lost is None:
+        raise error
+    return lost(job, error)

@@ -1,6 +1,6 @@
 """Generic Primitives: building them from meshes of a class, measuring them, loading the ones that ship."""
 
-from gfp_grasp.primitives.build import BuildConfig, Progress, build_primitive, with_parts
+from gfp_grasp.primitives.build import BuildConfig, build_primitive, with_parts
 from gfp_grasp.primitives.evaluate import PrimitiveReport, measure_primitive
 from gfp_grasp.primitives.full_fit import fit_full_surface
 from gfp_grasp.primitives.library import PrimitiveLibrary, list_primitives, load_kinds, load_primitive
@@ -11,7 +11,6 @@ __all__ = [
     "BuildConfig",
     "PrimitiveLibrary",
     "PrimitiveReport",
-    "Progress",
     "bring_into_one_pose",
     "build_primitive",
     "fit_full_surface",

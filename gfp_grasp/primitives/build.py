@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import combinations
 from typing import Literal
@@ -13,6 +13,7 @@ import trimesh
 
 from gfp_grasp.errors import BuildFailed, GfpGraspError, InvalidOption
 from gfp_grasp.meshes import check_mesh, crossing_faces, make_solid, vertex_normals
+from gfp_grasp.parallel import Progress
 from gfp_grasp.primitives.correspondence import Correspondence, CorrespondenceConfig, TemplateFitter
 from gfp_grasp.primitives.frame import stand_up
 from gfp_grasp.primitives.mls import project
@@ -27,7 +28,6 @@ from gfp_grasp.primitives.template import choose_template
 from gfp_grasp.primitives.untangle import untangle
 from gfp_grasp.types import BODY_REGIONS, GenericPrimitive, Variant
 
-Progress = Callable[[Iterable, int], Iterable]
 _UP = np.array([0.0, 0.0, 1.0])
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import trimesh
 
 from gfp_grasp.errors import InvalidOption
-from gfp_grasp.primitives.build import Progress
+from gfp_grasp.parallel import Progress
 from gfp_grasp.primitives.full_fit import fit_full_surface
 from gfp_grasp.types import GenericPrimitive
 

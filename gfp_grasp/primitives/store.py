@@ -13,8 +13,9 @@ import trimesh
 from safetensors import SafetensorError
 from safetensors.numpy import load_file, save_file
 
+from gfp_grasp.collision import parts_from_arrays, parts_to_arrays
 from gfp_grasp.errors import AssetMissing, GfpGraspError, InvalidOption, UnreadableFile
-from gfp_grasp.types import CategorySpec, ConvexPart, GenericPrimitive, Symmetry, Variant
+from gfp_grasp.types import CategorySpec, GenericPrimitive, Symmetry, Variant
 
 _AND = "+"  # between the names of the parts that a variant lacks, in the names of its arrays
 _ARRAYS = ("vertices", "faces", "modes", "explained", "log_scale_cov", "coefficient_samples", "up", "regions")
@@ -132,12 +133,9 @@ def _arrays_of(primitive: GenericPrimitive, prefix: str) -> dict[str, np.ndarray
     arrays[prefix + "symmetry"] = np.array(
         [*primitive.symmetry.axis, primitive.symmetry.order, *(np.full(3, np.nan) if mirror is None else mirror)]
     )
-    parts = primitive.parts
-    arrays[prefix + "part_sizes"] = np.array([[len(p.vertices), len(p.faces)] for p in parts]).reshape(-1, 2)
-    arrays[prefix + "part_vertices"] = np.concatenate([np.zeros((0, 3)), *(p.vertices for p in parts)])
+    arrays |= parts_to_arrays(primitive.parts, prefix=f"{prefix}part_")
     arrays[prefix + "part_merges"] = np.ascontiguousarray(primitive.part_merges)
     arrays[prefix + "part_errors_m"] = np.ascontiguousarray(primitive.part_errors_m)
-    arrays[prefix + "part_faces"] = np.concatenate([np.zeros((0, 3), dtype=np.int64), *(p.faces for p in parts)])
     if len(primitive.prototypes):
         arrays[prefix + "prototypes"] = np.ascontiguousarray(primitive.prototypes)
     for variant in primitive.variants:
@@ -151,15 +149,12 @@ def _from_arrays(arrays: dict[str, np.ndarray], prefix: str, card: dict) -> Gene
     values = arrays[prefix + "symmetry"]
     order = math.inf if math.isinf(values[3]) else int(values[3])
     symmetry = Symmetry(values[:3], order, None if np.isnan(values[4:]).any() else values[4:])
-    ends = np.cumsum(arrays[prefix + "part_sizes"], axis=0)
-    vertices = np.split(arrays[prefix + "part_vertices"], ends[:-1, 0]) if len(ends) else []
-    faces = np.split(arrays[prefix + "part_faces"], ends[:-1, 1]) if len(ends) else []
     return GenericPrimitive(
         category=card["category"],
         subcategory=card.get("subcategory", ""),
         **{name: arrays[prefix + name] for name in _ARRAYS},
         symmetry=symmetry,
-        parts=tuple(ConvexPart(v, f) for v, f in zip(vertices, faces, strict=True)),
+        parts=parts_from_arrays(arrays, prefix=f"{prefix}part_"),
         part_merges=arrays.get(prefix + "part_merges", np.zeros((0, 2))),
         part_errors_m=arrays.get(prefix + "part_errors_m", np.zeros((0, 2))),
         region_names=tuple(card["region_names"]),

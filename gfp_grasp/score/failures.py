@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import islice
 from pathlib import Path
@@ -13,6 +13,7 @@ from gfp_grasp.drawing import filmed_trial, overlay, spoken, write_clip
 from gfp_grasp.envs import GfpGraspEnv
 from gfp_grasp.errors import CannotWrite, GfpGraspError, InvalidOption
 from gfp_grasp.grasps import get_planner
+from gfp_grasp.parallel import Progress
 from gfp_grasp.scenes import TARGET, load_objects
 from gfp_grasp.score.report import Report, ScoreRow, method_names
 from gfp_grasp.types import Grasp
@@ -28,7 +29,6 @@ RULE = (
 _LOST = "WorkerLost"
 # Twice as many pictures as the demonstration takes: many a failure is over in half a second.
 _COMMANDS_A_FRAME = 8
-Progress = Callable[[Iterable["Exhibit"], int], Iterable["Exhibit"]]
 
 
 @dataclass(frozen=True)

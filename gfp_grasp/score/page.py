@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -12,11 +12,11 @@ from gfp_grasp import __version__
 from gfp_grasp.drawing import bracket_chart, escaped, html_page, reasons_chart, reasons_legend, spoken
 from gfp_grasp.errors import CannotWrite
 from gfp_grasp.journal import write_whole
+from gfp_grasp.parallel import Progress
 from gfp_grasp.primitives import list_primitives
 from gfp_grasp.score.failures import RULE, Exhibit, choose_failures, has_oracle, make_exhibits
 from gfp_grasp.score.report import BRACKETS, Report
 
-Progress = Callable[[Iterable[Any], int], Iterable[Any]]
 FILE, FIGURES = "index.html", "score.json"
 _WORDS = ("completer", "failures")  # columns of words, which start at the left and may break
 _INKS = "--card: #ffffff; --ink: #1d2127; --soft: #5d6570; --rule: #e2e3e0; --accent: #2f66b3;"

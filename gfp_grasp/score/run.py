@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from functools import partial
 from pathlib import Path
@@ -14,14 +14,13 @@ from gfp_grasp.envs import TrialSettings
 from gfp_grasp.errors import GfpGraspError, InvalidMesh, InvalidOption
 from gfp_grasp.grasps import get_planner
 from gfp_grasp.journal import Journal
-from gfp_grasp.parallel import pmap
+from gfp_grasp.parallel import Progress, pmap
 from gfp_grasp.scenes import ObjectSource, label_of, load_objects
 from gfp_grasp.score.report import Report, ScoreRow, method_names
 from gfp_grasp.score.rows import RowJob, ScoreConfig, is_graspable, lost_row, make_row
 
 ALL_CLASSES = "*"
 BRACKETED = ("observed", "observed/top-down", "mirror", "gfs", "registration", "gfpnet-paper", "gfpnet", "oracle")
-Progress = Callable[[Iterable[ScoreRow], int], Iterable[ScoreRow]]
 
 
 def score(

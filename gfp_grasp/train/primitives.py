@@ -11,7 +11,8 @@ import trimesh
 
 from gfp_grasp.errors import GfpGraspError, InvalidOption, UnknownCategory
 from gfp_grasp.meshes import load_mesh, make_solid
-from gfp_grasp.primitives import BuildConfig, Progress, bring_into_one_pose, build_primitive, measure_primitive
+from gfp_grasp.parallel import Progress
+from gfp_grasp.primitives import BuildConfig, bring_into_one_pose, build_primitive, measure_primitive
 from gfp_grasp.shapes import FAMILIES, make_shape, split_seeds
 from gfp_grasp.types import CategorySpec, GenericPrimitive
 
