@@ -98,7 +98,7 @@ def arguments(marker: str = "") -> list[str]:
 
 
 def _place(tree: Path, test_file: str, marker: str, cache: Path) -> Path:
-    own = [tree / test_file, tree / "tests" / "conftest.py", tree / "pyproject.toml"]
+    own = [tree / test_file, tree / "tests" / "conftest.py", tree / "pyproject.toml", Path(__file__)]
     key = hashlib.sha256(" ".join([sys.version, marker, *(digest(path) for path in own)]).encode()).hexdigest()[:16]
     return cache / f"{Path(test_file).stem}-{key}.json"
 
