@@ -142,7 +142,7 @@ def _chosen_clusters(points: np.ndarray, labels: np.ndarray, sensor: SensorProfi
         raise InvalidCloud(
             f"the cloud holds {1 + len(others)} clusters, {width_m:.2f} m across together, and clusters of one "
             f"object are within {_MAX_WIDTH * sensor.largest_m:.2f} m: pass one object's points, or the depth picture "
-            "to complete_scene"
+            'to complete_scene; if a LiDAR saw it, say so (sensor="lidar")'
         )
     tree = KDTree(points[labels == first])
     near = [k for k in others if tree.query(_few(points[labels == k]))[0].min() < _NEAR * sensor.sigma_m]
