@@ -1,17 +1,22 @@
 """Data sets on disk load as the same samples whatever their layout."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import trimesh
+from toy_primitive import toy_cup_primitive
 
 from gfp_grasp.datasets import LAYOUTS, layout_of, read_dataset
 from gfp_grasp.errors import InvalidOption, UnreadableFile
-from gfp_grasp.shapes import make_shape, split_seeds
+from gfp_grasp.primitives import PrimitiveLibrary, save_primitive
+from gfp_grasp.scenes import label_of, load_objects
+from gfp_grasp.shapes import FAMILIES, make_shape, split_seeds
 from gfp_grasp.train.labels import make_labels
 from gfp_grasp.train.views import cached_views
 from gfp_grasp.transforms import make_T, rotation_about
+from gfp_grasp.types import CategorySpec
 
 SEEDS = split_seeds("mug", "train")[:4]
 
@@ -107,3 +112,29 @@ def test_a_mesh_that_cannot_be_made_solid_is_left_out_with_a_warning(tmp_path: P
             for view in cached_views("mug", split, num_views=1, folder=tmp_path / "views", data=root)
         ]
     assert len(views) == 4
+
+
+def test_a_data_set_calls_a_class_by_what_its_card_says(tmp_path: Path):
+    pot = replace(toy_cup_primitive(), category="pot", spec=CategorySpec("pot", names={"shapenet": ("03991062",)}))
+    save_primitive(pot, tmp_path / "gps")
+    mesh = tmp_path / "data" / "03991062" / "a" / "models" / "model_normalized.obj"
+    mesh.parent.mkdir(parents=True)
+    _mug(0).export(mesh)
+    library = PrimitiveLibrary.with_shipped(tmp_path / "gps")
+    split = next(s for s in ("train", "val", "test") if read_dataset(tmp_path / "data", s))
+    assert [s.category for s in read_dataset(tmp_path / "data", split, library=library)] == ["pot"]
+    assert [s.category for s in read_dataset(tmp_path / "data", split)] == ["03991062"]
+
+
+def test_names_of_files_say_class_and_name_the_same_way_everywhere(tmp_path: Path):
+    for name in ("mug__a.ply", "plain.ply", "mug__.ply", "__b.ply"):
+        _mug(0).export(tmp_path / name)
+    found = {source.name: source.category for source in load_objects(tmp_path)}
+    assert found == {"a": "mug", "plain": "", "mug__": "", "__b": ""}
+    splits = [read_dataset(tmp_path, split, layout="folder") for split in ("train", "val", "test")]
+    assert [source.name for sources in splits for source in sources] == ["mug-a"]
+
+
+def test_all_objects_are_those_of_every_family():
+    assert load_objects("all", "val") == load_objects(",".join(FAMILIES), "val")
+    assert label_of("all") == ",".join(FAMILIES)

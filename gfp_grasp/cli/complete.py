@@ -8,7 +8,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from gfp_grasp.cli.terminal import Files, Seed, check_outputs, err, table, vector
+from gfp_grasp.cli.terminal import Files, Gps, Seed, check_outputs, err, table, vector
 
 
 def complete(
@@ -20,6 +20,7 @@ def complete(
     up: Annotated[str | None, typer.Option(help="Normal of the support, x,y,z, or auto; z if left out.")] = None,
     support_height: Annotated[float | None, typer.Option(help="Height of the support along up, metres.")] = None,
     category: Annotated[str | None, typer.Option(help="Class of the object; left out, it is found.")] = None,
+    folders: Gps = None,
     files: Files = False,
     max_parts: Annotated[int, typer.Option(help="Most convex parts.")] = 80,
     max_vertices: Annotated[int | None, typer.Option(help="Most vertices of each part.")] = None,
@@ -31,10 +32,13 @@ def complete(
     """Complete the object of a cloud, or every object of a depth picture. Several objects get numbered files."""
     from gfp_grasp.captures import complete_capture, read_capture
     from gfp_grasp.collision import CollisionConfig
+    from gfp_grasp.complete import CompleteConfig
+    from gfp_grasp.primitives import PrimitiveLibrary
 
     check_outputs(output)
     tolerance_m = None if tolerance_mm is None else tolerance_mm / 1000
     budget = CollisionConfig(max_parts, max_vertices, tolerance_m)
+    config = CompleteConfig(library=PrimitiveLibrary.with_shipped(*(folders or ())), collision=budget)
     capture = read_capture(cloud)
     given: dict[str, object] = {}
     if viewpoint is not None:
@@ -46,8 +50,7 @@ def complete(
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
         warnings.simplefilter("always", RuntimeWarning)
-        found = complete_capture(replace(capture, **given), category=category, seed=seed)
-        completions = [replace(completion, collision_config=budget) for completion in found]
+        completions = complete_capture(replace(capture, **given), category=category, config=config, seed=seed)
         counts = [len(completion.parts) for completion in completions]
     for warning in caught:
         err.print(f"note: {warning.message}", style="yellow", markup=False, soft_wrap=True)

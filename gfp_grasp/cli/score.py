@@ -5,7 +5,20 @@ from typing import Annotated
 
 import typer
 
-from gfp_grasp.cli.terminal import JsonFile, Limit, Objects, Ray, Seed, Split, Workers, out, table, track
+from gfp_grasp.cli.terminal import (
+    Gps,
+    JsonFile,
+    Limit,
+    Objects,
+    Ray,
+    Seed,
+    Split,
+    Workers,
+    gps_option,
+    out,
+    table,
+    track,
+)
 
 COMPLETERS = "observed,observed/top-down,mirror,gfs,registration,gfpnet-paper,gfpnet,oracle"
 
@@ -21,6 +34,7 @@ def score(
     clutter: Annotated[int, typer.Option(min=0, help="So many other objects stand around each.")] = 0,
     limit: Limit = None,
     classes: Annotated[str | None, typer.Option(help="Of the folder's objects, with commas between; * is all.")] = None,
+    folders: Gps = None,
     workers: Workers = 1,
     ray: Ray = None,
     json_file: JsonFile = None,
@@ -48,6 +62,7 @@ def score(
         clutter=clutter,
         limit=limit,
         classes=tuple(classes.split(",")) if classes else None,
+        gps=gps_option(folders),
     )
     if page is not None:
         prepare_folder(page)  # refused now, not after a night's work

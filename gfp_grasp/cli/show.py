@@ -2,12 +2,15 @@
 
 import webbrowser
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gfp_grasp.cli.terminal import Seed, err, out
+from gfp_grasp.cli.terminal import Gps, Seed, err, gps_option, out
 from gfp_grasp.errors import InvalidOption
+
+if TYPE_CHECKING:
+    from gfp_grasp.complete import CompleteConfig
 
 
 def demo(
@@ -17,12 +20,14 @@ def demo(
         list[Path] | None, typer.Option(help="Your own .npz capture, or sample; may be repeated.")
     ] = None,
     category: Annotated[str | None, typer.Option(help="Class of the object in your recordings.")] = None,
+    folders: Gps = None,
     seed: Seed = 0,
 ) -> None:
     """Complete and grasp objects of a clutter and a single one, or of your own recordings, and show it in a page."""
     from gfp_grasp.demo import run_demo  # loads simulator and networks, which --help does without
 
-    run_demo(folder, recordings=(*(cloud or ()), *(capture or ())), category=category, seed=seed, console=out)
+    recordings = (*(cloud or ()), *(capture or ()))
+    run_demo(folder, recordings=recordings, category=category, config=_config(folders), seed=seed, console=out)
 
 
 def view(
@@ -34,6 +39,7 @@ def view(
         typer.Option(help="Instead: episodes with a family (cup, mug, bottle; several: cup,mug), mesh file or folder."),
     ] = None,
     category: Annotated[str | None, typer.Option(help="Class of the object in the capture.")] = None,
+    folders: Gps = None,
     host: Annotated[str, typer.Option(help="Address to listen at; 0.0.0.0 lets other machines in.")] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port, or the next that is free; 0 takes any.")] = 8080,
     browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in a browser.")] = False,
@@ -46,9 +52,11 @@ def view(
         raise InvalidOption("--objects draws episodes of its own: give either it, or a capture (and its --category)")
     with err.status("completing and planning ..."):
         if objects is not None:
-            viewer = view_episodes(objects, seed=seed, host=host, port=port)
+            viewer = view_episodes(objects, gps=gps_option(folders), seed=seed, host=host, port=port)
         else:
-            viewer = view_capture(capture or "sample", category=category, seed=seed, host=host, port=port)
+            viewer = view_capture(
+                capture or "sample", category=category, config=_config(folders), seed=seed, host=host, port=port
+            )
     with viewer:
         out.print(f"{viewer.url} shows it; Ctrl-C ends", markup=False)
         if browser:
@@ -57,3 +65,11 @@ def view(
             viewer.wait()
         except KeyboardInterrupt:
             return
+
+
+def _config(folders: list[Path] | None) -> "CompleteConfig":
+    """The default completion, with the classes of a user's folders among those that there are."""
+    from gfp_grasp.complete import CompleteConfig
+    from gfp_grasp.primitives import PrimitiveLibrary
+
+    return CompleteConfig(library=PrimitiveLibrary.with_shipped(*(folders or ())))

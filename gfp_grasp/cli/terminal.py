@@ -134,6 +134,11 @@ def read_json(path: Path | None) -> dict[str, Any] | None:
     return json.loads(path.read_text(encoding="utf-8")) if path is not None and path.is_file() else None
 
 
+def gps_option(folders: Sequence[Path] | None) -> str:
+    """Folders of primitives as the environment and the score take them, in one text."""
+    return os.pathsep.join(str(folder.resolve()) for folder in folders or ())
+
+
 def save_json(path: Path | None, content: object) -> None:
     """Write figures to the file that the user named, if any; trials, of which there are many, one a line."""
     if path is None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
 
 import trimesh
@@ -16,6 +17,7 @@ from gfp_grasp.deform import DeformConfig
 from gfp_grasp.errors import InvalidMesh, UnknownCompleter
 from gfp_grasp.meshes import check_mesh, make_solid
 from gfp_grasp.plugins import imported_function
+from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.register import icp_config, pcrnet_config
 from gfp_grasp.types import Detection
 
@@ -38,7 +40,7 @@ _WITHOUT_CLASS: Mapping[str, Completer] = {
 COMPLETERS = (*_WITHOUT_CLASS, *CONFIGS)
 
 
-def get_completer(name: str) -> Completer:
+def get_completer(name: str, *, library: PrimitiveLibrary | None = None) -> Completer:
     """A completer by name.
 
     Args:
@@ -48,6 +50,7 @@ def get_completer(name: str) -> Completer:
             `gfpnet-oneshot` or `gfpnet-paper` (the paper's networks) or `gfpnet` (the package's method), `oracle` (the
             true mesh; see `Oracle`), or `package.module:function`, a function of a Detection that returns a
             trimesh.Trimesh in the world frame or a Completion.
+        library: The classes that there are for the package's own completers; None for those that ship.
 
     Returns:
         A function of a detection; for `oracle` an `Oracle`, which takes the truth as well.
@@ -58,7 +61,8 @@ def get_completer(name: str) -> Completer:
     if name in _WITHOUT_CLASS:
         return _WITHOUT_CLASS[name]
     if name in CONFIGS:
-        return partial(complete_detection, config=CONFIGS[name])
+        config = CONFIGS[name] if library is None else replace(CONFIGS[name], library=library)
+        return partial(complete_detection, config=config)
     on_offer = ", ".join(COMPLETERS)
     function = imported_function(name, what="completer", of="a Detection", on_offer=on_offer, error=UnknownCompleter)
     return _checked(function)

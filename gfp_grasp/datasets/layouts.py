@@ -6,27 +6,21 @@ ModelNet40 and ShapeNet tell no size: their meshes are given one, drawn from the
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 from gfp_grasp.errors import InvalidOption, UnreadableFile
-from gfp_grasp.primitives import list_primitives, load_primitive
-from gfp_grasp.scenes import SUFFIXES, ObjectSource
+from gfp_grasp.meshes import SUFFIXES
+from gfp_grasp.primitives import PrimitiveLibrary
+from gfp_grasp.scenes import ObjectSource, class_and_name
 from gfp_grasp.shapes import SPLITS
 
 LAYOUTS = ("modelnet", "shapenet", "folder")
-# Classes of ShapeNetCore by their WordNet number; others keep the number for a name.
-_SYNSETS = {
-    "02876657": "bottle",
-    "02880940": "bowl",
-    "02946921": "can",
-    "03147509": "cup",
-    "03593526": "jar",
-    "03797390": "mug",
-}
+# Classes of ShapeNetCore by their WordNet number, where no card of a class names it; others keep the number for a name.
+_SYNSETS = {"02880940": "bowl", "02946921": "can", "03593526": "jar"}
 _TALL_M = (0.15, 0.15)  # height of a class that has no primitive: median, and deviation of its logarithm
 
 
@@ -54,7 +48,7 @@ def layout_of(root: str | Path) -> str:
     if not folder.is_dir():
         raise UnreadableFile(f"{root} is no folder: give that of ModelNet40, of ShapeNetCore, or one of meshes")
     for layout in LAYOUTS:
-        if next(_FIND[layout](folder), None) is not None:
+        if next(_FIND[layout](folder, {}), None) is not None:
             return layout
     raise UnreadableFile(
         f"{folder.name} holds no mesh as <class>/train/*.off (ModelNet40), <synset>/<id>/models/model_normalized.obj "
@@ -63,7 +57,12 @@ def layout_of(root: str | Path) -> str:
 
 
 def read_dataset(
-    root: str | Path, split: str = "train", *, classes: Sequence[str] | None = None, layout: str | None = None
+    root: str | Path,
+    split: str = "train",
+    *,
+    classes: Sequence[str] | None = None,
+    layout: str | None = None,
+    library: PrimitiveLibrary | None = None,
 ) -> tuple[ObjectSource, ...]:
     """The meshes of a data set, not loaded yet; each loads as a watertight mesh in metres, z up, on z = 0.
 
@@ -76,6 +75,7 @@ def read_dataset(
         split: "train", "val" or "test".
         classes: Keep these; None keeps all.
         layout: One of LAYOUTS; None looks.
+        library: Its cards say what the data set calls a class, and how large its members are; None for the shipped one.
 
     Returns:
         In the order of their names.
@@ -89,7 +89,8 @@ def read_dataset(
     layout = layout or layout_of(root)
     if layout not in LAYOUTS:
         raise InvalidOption(f"layout is {layout!r}; one of {', '.join(LAYOUTS)} is expected")
-    found = sorted(_FIND[layout](Path(root)), key=lambda f: (f.category, f.name))
+    library = library or PrimitiveLibrary.shipped()
+    found = sorted(_FIND[layout](Path(root), _class_by_name(layout, library)), key=lambda f: (f.category, f.name))
     if not found:
         raise UnreadableFile(f"{Path(root).name} holds no mesh in the layout of {layout}")
     return tuple(
@@ -98,7 +99,7 @@ def read_dataset(
             f.category,
             path=f.path,
             up="y" if layout == "shapenet" else "z",
-            height_m=None if layout == "folder" else _height_m(f),
+            height_m=None if layout == "folder" else _height_m(f, library),
         )
         for f in found
         if _split(f) == split and (classes is None or f.category in classes)
@@ -112,40 +113,46 @@ def _split(found: _Found) -> str:
     return {0: "val", 1: "test"}.get(tenth, "train")
 
 
-def _height_m(found: _Found) -> float:
-    """Height from the class's own spread, the same for the same file."""
+def _class_by_name(layout: str, library: PrimitiveLibrary) -> dict[str, str]:
+    """The library's classes by the names that a data set has for them."""
+    others = _SYNSETS if layout == "shapenet" else {}
+    named = {name: category for category in library.categories for name in library.spec(category).names.get(layout, ())}
+    return others | named
+
+
+def _height_m(found: _Found, library: PrimitiveLibrary) -> float:
+    """Height drawn from the sizes of the class, the same for the same file."""
     median_m, spread = _TALL_M
-    if found.category in list_primitives():
-        primitive = load_primitive(found.category)
+    if found.category in library:
+        primitive = library.primitive(found.category)
         median_m, spread = float(np.ptp(primitive.vertices[:, 2])), float(np.sqrt(primitive.log_scale_cov[2, 2]))
     draw = np.random.default_rng(zlib.crc32(found.name.encode())).normal()
     return median_m * float(np.exp(spread * np.clip(draw, -2, 2)))
 
 
-def _modelnet(root: Path) -> Iterator[_Found]:
+def _modelnet(root: Path, classes: Mapping[str, str]) -> Iterator[_Found]:
     for path in sorted(root.glob("*/*/*.off")):
         if path.parent.name in ("train", "test"):
-            yield _Found(path, path.stem, path.parent.parent.name, path.parent.name)
+            folder = path.parent.parent.name
+            yield _Found(path, path.stem, classes.get(folder, folder), path.parent.name)
 
 
-def _shapenet(root: Path) -> Iterator[_Found]:
+def _shapenet(root: Path, classes: Mapping[str, str]) -> Iterator[_Found]:
     for path in sorted([*root.glob("*/*/models/model_normalized.obj"), *root.glob("*/*/model.obj")]):
         identity = path.parent.parent if path.parent.name == "models" else path.parent
         synset = identity.parent.name
-        yield _Found(path, f"{synset}-{identity.name}", _SYNSETS.get(synset, synset))
+        yield _Found(path, f"{synset}-{identity.name}", classes.get(synset, synset))
 
 
-def _folder(root: Path) -> Iterator[_Found]:
+def _folder(root: Path, classes: Mapping[str, str]) -> Iterator[_Found]:
     for path in sorted([*root.iterdir(), *root.glob("*/*")]):
         if path.is_file() and path.suffix.lower() in SUFFIXES:
-            category, mark, name = path.stem.partition("__")
-            if path.parent != root:
-                category, mark, name = path.parent.name, "/", path.stem
-            if mark and name:
+            category, name = class_and_name(path) if path.parent == root else (path.parent.name, path.stem)
+            if category:
                 yield _Found(path, f"{category}-{name}", category)
 
 
-_FIND: dict[str, Callable[[Path], Iterator[_Found]]] = {
+_FIND: dict[str, Callable[[Path, Mapping[str, str]], Iterator[_Found]]] = {
     "modelnet": _modelnet,
     "shapenet": _shapenet,
     "folder": _folder,

@@ -11,7 +11,7 @@ import trimesh
 
 from gfp_grasp.camera import SensorModel, apply_sensor, intrinsics, render_depth
 from gfp_grasp.captures import Capture, complete_capture
-from gfp_grasp.complete import complete_scene
+from gfp_grasp.complete import CompleteConfig, complete_scene
 from gfp_grasp.completion import Completion
 from gfp_grasp.demo.assets import load_asset
 from gfp_grasp.demo.demo_scene import DemoScene, write_scene
@@ -30,13 +30,20 @@ _MASS_KG = (0.03, 0.8)
 
 
 def simulated_scene(
-    title: str, text: str, sources: Sequence[ObjectSource], *, eye: Sequence[float], folder: Path, seed: int
+    title: str,
+    text: str,
+    sources: Sequence[ObjectSource],
+    *,
+    eye: Sequence[float],
+    folder: Path,
+    config: CompleteConfig | None = None,
+    seed: int = 0,
 ) -> DemoScene:
     """See objects on a simulated table once through a noisy camera, complete and grasp them, and write the files."""
     rng = np.random.default_rng(seed)
     stage, truths = set_stage(sources, rng)
     image, geom = take_picture(stage, eye, rng)
-    completions = complete_scene(image, seed=seed)
+    completions = complete_scene(image, config=config, seed=seed)
     items, frames = [], []
     for completion in completions:
         truth = _truth_of(completion, stage, truths, geom)
@@ -46,9 +53,16 @@ def simulated_scene(
     return write_scene(title, text, tuple(items), folder, image=image, frames=frames, stages={"true": stage})
 
 
-def recorded_scene(capture: Capture, *, folder: Path, category: str | None = None, seed: int = 0) -> DemoScene:
+def recorded_scene(
+    capture: Capture,
+    *,
+    folder: Path,
+    category: str | None = None,
+    config: CompleteConfig | None = None,
+    seed: int = 0,
+) -> DemoScene:
     """Complete a recording, try the best grasp of each object on the completed objects, and write the files."""
-    completions = complete_capture(capture, category=category, seed=seed)
+    completions = complete_capture(capture, category=category, config=config, seed=seed)
     T = table_frame(completions)
     planned = items_of(completions, capture.truth, seed=seed)
     stage = World([_body(item.name, item.completion, T) for item in planned])

@@ -13,6 +13,7 @@ from rich.console import Console
 from rich.table import Table
 
 from gfp_grasp.captures import read_capture
+from gfp_grasp.complete import CompleteConfig
 from gfp_grasp.demo.assets import CLUTTER, SINGLE, pick_objects
 from gfp_grasp.demo.demo_scene import HEADINGS, WORD_HEADINGS, DemoScene, figures_row
 from gfp_grasp.demo.jobs import EYES, recorded_scene, simulated_scene
@@ -26,6 +27,7 @@ def run_demo(
     *,
     recordings: tuple[Path, ...] = (),
     category: str | None = None,
+    config: CompleteConfig | None = None,
     seed: int = 0,
     console: Console | None = None,
 ) -> tuple[DemoScene, ...]:
@@ -35,6 +37,7 @@ def run_demo(
         out: Folder to write; index.html shows all of it.
         recordings: Clouds or captures, see captures.read_capture; none shows a clutter and a single object.
         category: Class of the recordings' objects; None lets the classifier choose.
+        config: Switches of the completion, the library of classes among them.
         seed: Seed of every random choice.
         console: Where tables and progress go; None says nothing.
 
@@ -46,7 +49,8 @@ def run_demo(
     """
     console = console or Console(quiet=True)
     start = time.perf_counter()
-    jobs = _recorded_jobs(recordings, out, category, seed) if recordings else _simulated_jobs(out, seed)
+    recorded = _recorded_jobs(recordings, out, category, config, seed)
+    jobs = recorded or _simulated_jobs(out, config, seed)
     scenes, notes = [], []
     for name, job in jobs:
         with console.status(f"{name} ..."), warnings.catch_warnings(record=True) as caught:
@@ -63,7 +67,7 @@ def run_demo(
     return tuple(scenes)
 
 
-def _simulated_jobs(out: Path, seed: int) -> list[tuple[str, Job]]:
+def _simulated_jobs(out: Path, config: CompleteConfig | None, seed: int) -> list[tuple[str, Job]]:
     clutter = partial(
         simulated_scene,
         "A clutter of four",
@@ -71,6 +75,7 @@ def _simulated_jobs(out: Path, seed: int) -> list[tuple[str, Job]]:
         pick_objects(CLUTTER, seed=seed),
         eye=EYES["clutter"],
         folder=out / "clutter",
+        config=config,
         seed=seed,
     )
     single = partial(
@@ -80,15 +85,19 @@ def _simulated_jobs(out: Path, seed: int) -> list[tuple[str, Job]]:
         pick_objects(SINGLE, seed=seed),
         eye=EYES["single"],
         folder=out / "single",
+        config=config,
         seed=seed,
     )
     return [("a clutter of four", clutter), ("a single mug", single)]
 
 
-def _recorded_jobs(recordings: tuple[Path, ...], out: Path, category: str | None, seed: int) -> list[tuple[str, Job]]:
+def _recorded_jobs(
+    recordings: tuple[Path, ...], out: Path, category: str | None, config: CompleteConfig | None, seed: int
+) -> list[tuple[str, Job]]:
     captures = [read_capture(path) for path in recordings]
+    scene = partial(recorded_scene, category=category, config=config, seed=seed)
     return [
-        (capture.name, partial(recorded_scene, capture, folder=out / path.stem, category=category, seed=seed))
+        (capture.name, partial(scene, capture, folder=out / path.stem))
         for capture, path in zip(captures, recordings, strict=True)
     ]
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from gfp_grasp.camera import SensorModel
 from gfp_grasp.errors import InvalidOption
+from gfp_grasp.primitives import PrimitiveLibrary
 
 WORLDS = ("true", "completed")
 SENSORS = ("ideal", "gaussian", "realsense", "kinect")
@@ -20,7 +21,8 @@ class EnvConfig:
     """Keyword arguments of `GfpGraspEnv`; only str, int, float, bool and None, so that a spec goes through JSON.
 
     Attributes:
-        objects: Family (or families, "cup,mug"), mesh file, or folder of meshes.
+        objects: Procedural families with commas between or "all", a mesh file, or a folder of meshes.
+        gps: Folders of primitives of your own, with a colon between (a semicolon on Windows); "" for none.
         completer: Name, see `gfp_grasp.completers.completer`.
         world: "true" simulates the true object, "completed" the completion's convex parts in its place.
         split: Which seeds of a family: train, val or test.
@@ -44,7 +46,8 @@ class EnvConfig:
         render_mode: None, "rgb_array", or "human" for MuJoCo's viewer, which shows attempts as they are made.
     """
 
-    objects: str = "cup,mug,bottle"
+    objects: str = "all"
+    gps: str = ""
     completer: str = "gfpnet"
     world: str = "true"
     split: str = "test"
@@ -107,6 +110,15 @@ class EnvConfig:
         if unknown:
             raise InvalidOption(f"unknown option {', '.join(map(repr, unknown))}; legal are {', '.join(legal)}")
         return cls(**options)  # pyright: ignore[reportArgumentType]
+
+    @property
+    def library(self) -> PrimitiveLibrary:
+        """The classes that there are.
+
+        Raises:
+            UnreadableFile: One of `gps` is no folder.
+        """
+        return PrimitiveLibrary.from_option(self.gps)
 
     @property
     def sensor_model(self) -> SensorModel:

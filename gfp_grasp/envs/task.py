@@ -54,7 +54,7 @@ class GraspTask:
         self.config = config
         self.settings = settings
         self.sources = load_objects(config.objects, config.split, config.limit or None)
-        self._complete = get_completer(config.completer)
+        self._complete = get_completer(config.completer, library=config.library)
         self.num_kept = num_kept
         self._true_worlds: OrderedDict[int, tuple[TrueObject, World]] = OrderedDict()
         self._episode: Episode | None = None

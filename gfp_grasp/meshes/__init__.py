@@ -1,11 +1,12 @@
 """Triangle meshes: reading and checking them, sampling, crossings, and making solids of broken ones."""
 
 from gfp_grasp.meshes.crossing import crossing_faces
-from gfp_grasp.meshes.load import check_mesh, every_suffix, load_mesh
+from gfp_grasp.meshes.load import SUFFIXES, check_mesh, every_suffix, load_mesh
 from gfp_grasp.meshes.solid import make_solid
 from gfp_grasp.meshes.surface import sample_surface, vertex_normals
 
 __all__ = [
+    "SUFFIXES",
     "check_mesh",
     "crossing_faces",
     "every_suffix",

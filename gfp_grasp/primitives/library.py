@@ -48,6 +48,11 @@ class PrimitiveLibrary:
         """The primitives that ship with the package and those of more folders, whose classes replace shipped ones."""
         return cls(data_dir("gps"), *folders) if folders else cls.shipped()
 
+    @classmethod
+    def from_option(cls, folders: str) -> PrimitiveLibrary:
+        """The shipped primitives and those of folders in one text, with a colon (on Windows, a semicolon) between."""
+        return cls.with_shipped(*filter(None, folders.split(os.pathsep)))
+
     @property
     def categories(self) -> tuple[str, ...]:
         """Classes in alphabetical order, without subcategories."""

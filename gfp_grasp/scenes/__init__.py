@@ -7,7 +7,7 @@ from gfp_grasp.scenes.cache import mesh_sha256
 from gfp_grasp.scenes.objects import true_object
 from gfp_grasp.scenes.placing import place_clutter
 from gfp_grasp.scenes.scene_object import TARGET, SceneObject
-from gfp_grasp.scenes.sources import SUFFIXES, ObjectSource, label_of, load_objects
+from gfp_grasp.scenes.sources import ALL_FAMILIES, ObjectSource, class_and_name, label_of, load_objects
 
 if TYPE_CHECKING:
     from gfp_grasp.scenes.build import build_scene, compile_scene, save_scene
@@ -26,13 +26,14 @@ _LATER = {
 }
 
 __all__ = [
-    "SUFFIXES",
+    "ALL_FAMILIES",
     "TARGET",
     "Handles",
     "ObjectSource",
     "SceneObject",
     "World",
     "build_scene",
+    "class_and_name",
     "compile_scene",
     "gripper_pose",
     "label_of",

@@ -12,12 +12,12 @@ import numpy as np
 import trimesh
 
 from gfp_grasp.errors import InvalidOption, UnreadableFile
-from gfp_grasp.meshes import load_mesh
+from gfp_grasp.meshes import SUFFIXES, load_mesh
 from gfp_grasp.scenes.objects import Decompose, rested, solid_mesh, true_object
 from gfp_grasp.transforms import make_T, rotation_about
 from gfp_grasp.types import TrueObject
 
-SUFFIXES = (".glb", ".obj", ".off", ".ply", ".stl")
+ALL_FAMILIES = "all"  # every procedural family, in place of their names
 
 
 @dataclass(frozen=True)
@@ -25,10 +25,10 @@ class ObjectSource:
     """An object that can be loaded; light, and pickles into workers.
 
     Attributes:
-        name: Of the data set and the mesh, never a path.
+        name: Name of the mesh in its data set, never a path.
         category: Class, or "" where it is unknown.
         family: Procedural family, or "" for a file.
-        seed: Of the procedural shape.
+        seed: Seed of the procedural shape.
         path: Mesh file, or None for a procedural shape.
         up: Axis of the file that is up, "z" or "y".
         height_m: Height that the file is scaled to; None where it is in metres.
@@ -77,10 +77,10 @@ def load_objects(
     """Objects of procedural families or of mesh files, not loaded yet.
 
     Args:
-        family_or_folder: Families ("cup", or several as "cup,mug"), a mesh file, or a folder of mesh files named
-            `<class>__<name>.<suffix>`, or just `<name>.<suffix>` where the class is unknown.
-        split: Which seeds of a family: train, val or test. Files have none.
-        limit: At most so many: families take turns, files come in the order of their names.
+        family_or_folder: A procedural family, several with commas between or "all", a mesh file, or a folder of mesh
+            files named `<class>__<name>.<suffix>`, or just `<name>.<suffix>` where the class is unknown.
+        split: Seeds of a family: train, val or test. Files have no split.
+        limit: Most objects: families take turns, files come in the order of their names.
 
     Raises:
         InvalidOption: No family, file or folder of that name, an unknown split, or a limit below one.
@@ -92,7 +92,7 @@ def load_objects(
         raise InvalidOption(f"split is {split!r}; legal are {', '.join(SPLITS)}")
     if limit is not None and limit < 1:
         raise InvalidOption(f"limit is {limit}; at least 1, or None, is expected")
-    families = [family.strip() for family in str(family_or_folder).split(",") if family.strip()]
+    families = _families(family_or_folder)
     if not families:
         raise InvalidOption(
             f"objects is {str(family_or_folder)!r}; families ({', '.join(FAMILIES)}), a mesh file or a folder"
@@ -112,8 +112,24 @@ def load_objects(
 
 
 def label_of(objects: str | Path) -> str:
-    """Families as they are, files and folders by their own name: results never hold a path."""
+    """Families by their names, files and folders by their own name: results never hold a path."""
+    if str(objects) == ALL_FAMILIES:
+        return ",".join(_families(objects))
     return Path(objects).resolve().name if Path(objects).exists() else str(objects)
+
+
+def class_and_name(path: Path) -> tuple[str, str]:
+    """Class and name from `<class>__<name>.<suffix>`; the class is "" where the file's name does not say it."""
+    category, _, name = path.stem.partition("__")
+    return (category, name) if category and name else ("", path.stem)
+
+
+def _families(objects: str | Path) -> list[str]:
+    from gfp_grasp.shapes import FAMILIES
+
+    if str(objects) == ALL_FAMILIES:
+        return list(FAMILIES)
+    return [family.strip() for family in str(objects).split(",") if family.strip()]
 
 
 def _shape_sources(family: str, seeds: Sequence[int]) -> list[ObjectSource]:
@@ -138,8 +154,5 @@ def _folder_sources(folder: Path) -> tuple[ObjectSource, ...]:
 
 
 def _file_source(path: Path, *, whole_name: bool = False) -> ObjectSource:
-    category, mark, name = path.stem.partition("__")
-    name = name if mark and name else path.stem
-    if whole_name:
-        name = path.name
-    return ObjectSource(name, category if mark else "", path=path)
+    category, name = class_and_name(path)
+    return ObjectSource(path.name if whole_name else name, category, path=path)

@@ -13,7 +13,7 @@ from gfp_grasp.drawing import bracket_chart, escaped, html_page, reasons_chart, 
 from gfp_grasp.errors import CannotWrite
 from gfp_grasp.journal import write_whole
 from gfp_grasp.parallel import Progress
-from gfp_grasp.primitives import list_primitives
+from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.score.failures import RULE, Exhibit, choose_failures, has_oracle, make_exhibits
 from gfp_grasp.score.report import BRACKETS, Report
 
@@ -140,7 +140,9 @@ def _command(settings: Mapping[str, Any], directory: str) -> str:
         words += [f"--{name}", str(settings[name])] if name in settings else []
     met = settings["num_objects"] + len(settings.get("ungraspable", ()))  # the limit counts what is left out, too
     words += ["--limit", str(met)]
-    if set(settings["classes"]) != {*list_primitives(), ""}:
+    for folder in settings.get("gps", ()):
+        words += ["--gps", folder]
+    if set(settings["classes"]) != {*PrimitiveLibrary.shipped().categories, ""}:
         words += ["--classes", ",".join(settings["classes"])]
     return shlex.join([*words, "--report", directory])
 

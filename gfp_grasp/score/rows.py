@@ -19,7 +19,7 @@ from gfp_grasp.envs import GfpGraspEnv
 from gfp_grasp.errors import GfpGraspError, InvalidOption, WorkerLost
 from gfp_grasp.grasps import PLANNERS, GraspConfig, get_planner, plan_grasps
 from gfp_grasp.metrics import CompletionErrors, completion_errors
-from gfp_grasp.primitives import list_primitives
+from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.score.report import ScoreRow, method_names
 from gfp_grasp.types import Detection, Grasp, PointCloud, SupportPlane, TrueObject
 
@@ -43,6 +43,7 @@ class ScoreConfig:
         limit: Most objects to score; None scores all.
         classes: Classes whose objects are scored; None takes those that have a primitive and objects of unknown class,
             ("*",) takes all.
+        gps: Folders of primitives of your own, as the environment's option takes them.
     """
 
     views: int = 4
@@ -52,6 +53,7 @@ class ScoreConfig:
     clutter: int = 0
     limit: int | None = None
     classes: tuple[str, ...] | None = None
+    gps: str = ""
 
     def __post_init__(self) -> None:
         limit = 1 if self.limit is None else self.limit
@@ -63,7 +65,7 @@ class ScoreConfig:
 
     def wanted(self) -> set[str]:
         """Classes whose objects are scored, "" for unknown ones."""
-        return {*list_primitives(), ""} if self.classes is None else set(self.classes)
+        return {*PrimitiveLibrary.from_option(self.gps).categories, ""} if self.classes is None else set(self.classes)
 
 
 @dataclass(frozen=True)
@@ -199,15 +201,22 @@ def best_grasps(
 
 
 @lru_cache(maxsize=16)
-def _cached_env(objects: str, split: str, clutter: int, completer_name: str, world: str) -> GfpGraspEnv:
+def _cached_env(objects: str, config: ScoreConfig, completer_name: str, world: str) -> GfpGraspEnv:
     """One environment a process and completer, so that scenes are compiled once."""
-    env = GfpGraspEnv(objects=objects, split=split, clutter=clutter, completer=completer_name, world=world)
-    env.task.num_kept = 1 + clutter  # a score goes object by object
+    env = GfpGraspEnv(
+        objects=objects,
+        gps=config.gps,
+        split=config.split,
+        clutter=config.clutter,
+        completer=completer_name,
+        world=world,
+    )
+    env.task.num_kept = 1 + config.clutter  # a score goes object by object
     return env
 
 
 def _env(job: RowJob, world: str) -> GfpGraspEnv:
-    return _cached_env(job.objects, job.config.split, job.config.clutter, method_names(job.method)[0], world)
+    return _cached_env(job.objects, job.config, method_names(job.method)[0], world)
 
 
 def _first_held(env: GfpGraspEnv, grasps: Sequence[Grasp]) -> int | None:

@@ -15,6 +15,7 @@ from gfp_grasp.errors import GfpGraspError, InvalidMesh, InvalidOption
 from gfp_grasp.grasps import get_planner
 from gfp_grasp.journal import Journal
 from gfp_grasp.parallel import Progress, pmap
+from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.scenes import ObjectSource, label_of, load_objects
 from gfp_grasp.score.report import Report, ScoreRow, method_names
 from gfp_grasp.score.rows import RowJob, ScoreConfig, is_graspable, lost_row, make_row
@@ -86,6 +87,8 @@ def score(
         "seed": int(config.seed),
         "trial": asdict(TrialSettings()),
     }
+    if config.gps:
+        settings["gps"] = [folder.name for folder in PrimitiveLibrary.from_option(config.gps).folders[1:]]
     return Report(settings, _rows(jobs, settings, journal, progress=progress, **how))
 
 

@@ -10,13 +10,12 @@ import numpy as np
 import trimesh
 
 from gfp_grasp.errors import GfpGraspError, InvalidOption, UnknownCategory
-from gfp_grasp.meshes import load_mesh, make_solid
+from gfp_grasp.meshes import SUFFIXES, load_mesh, make_solid
 from gfp_grasp.parallel import Progress
 from gfp_grasp.primitives import BuildConfig, bring_into_one_pose, build_primitive, measure_primitive
 from gfp_grasp.shapes import FAMILIES, make_shape, split_seeds
 from gfp_grasp.types import CategorySpec, GenericPrimitive
 
-_SUFFIXES = (".obj", ".stl", ".ply", ".glb", ".off")
 # A folder with fewer meshes than this is used up by the build; from this on every fifth mesh is held out.
 _ENOUGH_TO_HOLD_OUT = 15
 _LICENCE_OF_SHAPES = "Apache-2.0"
@@ -129,9 +128,9 @@ def build_from_folder(
         BuildFailed: See build_primitive.
     """
     _check(category, spec)
-    paths = sorted(path for path in Path(folder).glob("*") if path.suffix.lower() in _SUFFIXES)
+    paths = sorted(path for path in Path(folder).glob("*") if path.suffix.lower() in SUFFIXES)
     if not paths:
-        raise InvalidOption(f"{folder} holds no mesh file: {', '.join(_SUFFIXES)} are read")
+        raise InvalidOption(f"{folder} holds no mesh file: {', '.join(SUFFIXES)} are read")
     meshes, unreadable = [], 0
     for path in paths:
         try:

@@ -21,12 +21,13 @@ _LINGER_S = 1.5
 
 
 def view_episodes(
-    objects: str = "cup,mug,bottle", *, seed: int = 0, host: str = HOST, port: int = PORT
+    objects: str = "all", *, gps: str = "", seed: int = 0, host: str = HOST, port: int = PORT
 ) -> EpisodeViewer:
     """Serve a page with an episode of `GfpGrasp-v0`, whose grasps can be tried.
 
     Args:
-        objects: Family (or families, "cup,mug"), mesh file, or folder of meshes.
+        objects: Procedural families with commas between or "all", a mesh file, or a folder of meshes.
+        gps: Folders of primitives of your own, as the environment's option takes them.
         seed: Of the first episode; the button goes on to the next.
         host: Address to listen at.
         port: To listen at, or the next that is free; 0 takes any.
@@ -39,7 +40,7 @@ def view_episodes(
         GfpGraspError: The objects cannot be used.
     """
     check_viser()
-    viewer = EpisodeViewer(GfpGraspEnv(objects=objects), host=host, port=port)
+    viewer = EpisodeViewer(GfpGraspEnv(objects=objects, gps=gps), host=host, port=port)
     try:
         viewer.reset(seed)
     except BaseException:

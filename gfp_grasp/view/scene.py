@@ -10,6 +10,7 @@ import numpy as np
 import trimesh
 
 from gfp_grasp.captures import Capture, complete_capture
+from gfp_grasp.complete import CompleteConfig
 from gfp_grasp.completion import Completion
 from gfp_grasp.drawing import Item, items_of, make_item
 from gfp_grasp.envs import Episode
@@ -49,12 +50,15 @@ class ShownScene:
     facts: tuple[tuple[str, str], ...] = ()
 
 
-def scene_of_capture(capture: Capture, *, category: str | None = None, seed: int = 0) -> ShownScene:
+def scene_of_capture(
+    capture: Capture, *, category: str | None = None, config: CompleteConfig | None = None, seed: int = 0
+) -> ShownScene:
     """Complete a recording and plan grasps on each of its objects.
 
     Args:
         capture: The recording.
         category: Class of the recording's objects; None lets the classifier choose.
+        config: Switches of the completion.
         seed: Seed of every random choice.
 
     Raises:
@@ -63,7 +67,7 @@ def scene_of_capture(capture: Capture, *, category: str | None = None, seed: int
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
         warnings.simplefilter("always", RuntimeWarning)
-        completions = complete_capture(capture, category=category, seed=seed)
+        completions = complete_capture(capture, category=category, config=config, seed=seed)
         items = items_of(completions, capture.truth, seed=seed)
     return ShownScene(
         capture.name,

@@ -16,6 +16,7 @@ from typing import Self
 import numpy as np
 
 from gfp_grasp.captures import Capture, read_capture
+from gfp_grasp.complete import CompleteConfig
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.transforms import rotation_about
 from gfp_grasp.view.layers import Layers
@@ -36,6 +37,7 @@ def view_capture(
     capture: Capture | str | Path = "sample",
     *,
     category: str | None = None,
+    config: CompleteConfig | None = None,
     seed: int = 0,
     host: str = HOST,
     port: int = PORT,
@@ -45,6 +47,7 @@ def view_capture(
     Args:
         capture: The recording, or its file as `read_capture` takes it; "sample" ships with the package.
         category: Class of its one object; None lets the classifier and the fits choose.
+        config: Switches of the completion, the library of classes among them.
         seed: Seed of every random choice.
         host: Address to listen at.
         port: Port to listen at, or the next one that is free; 0 takes any.
@@ -58,7 +61,7 @@ def view_capture(
     """
     check_viser()
     capture = capture if isinstance(capture, Capture) else read_capture(capture)
-    shown = scene_of_capture(capture, category=category, seed=seed)
+    shown = scene_of_capture(capture, category=category, config=config, seed=seed)
     viewer = Viewer(capture.name, host=host, port=port)
     viewer.show(shown)
     return viewer
