@@ -29,7 +29,7 @@ from gfp_grasp.errors import GfpGraspError, InvalidOption
 from gfp_grasp.meshes import sample_surface, vertex_normals
 from gfp_grasp.metrics import chamfer_m, f_score, iou, scale_error, visible_surface
 from gfp_grasp.parallel import pmap
-from gfp_grasp.primitives import list_primitives
+from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.scenes import load_objects
 
 _SAMPLES = 8192
@@ -49,6 +49,7 @@ class CompletionConfig:
         give_category: Tell the methods the true class.
         noise_m: Standard deviation of the depth noise, m.
         protocol: How objects stand and are seen, one of views.PROTOCOLS.
+        gps: Folders of primitives of your own, as the environment's option takes them.
     """
 
     views: int = 16
@@ -58,6 +59,7 @@ class CompletionConfig:
     give_category: bool = False
     noise_m: float = 0.001
     protocol: str = "standard"
+    gps: str = ""
 
     def __post_init__(self) -> None:
         if self.views < 1:
@@ -76,10 +78,10 @@ def bench_completion(
     ray: str | None = None,
     progress=None,
 ) -> dict[str, Any]:
-    """Measure completions of procedural families, or of the cups, mugs and bottles of a folder of meshes.
+    """Measure completions of procedural families, or of a folder's meshes of classes that have a primitive.
 
     Args:
-        objects: Families ("cup", or "cup,mug,bottle") or a folder; of a folder, files whose name starts with a class
+        objects: Families with commas between, or a folder; of a folder, files whose name starts with a class
             that has no primitive are left out.
         methods: Some of METHODS.
         config: Views and noise.
@@ -104,9 +106,12 @@ def bench_completion(
     unknown = set(methods) - set(METHODS)
     if unknown:
         raise InvalidOption(f"unknown methods {sorted(unknown)}; legal are {', '.join(METHODS)}")
-    classes = list_primitives()
-    sources = [s for s in load_objects(objects, split=config.split, limit=config.limit) if s.category in classes]
+    library = PrimitiveLibrary.from_option(config.gps)
+    sources = [
+        s for s in load_objects(objects, split=config.split, limit=config.limit) if s.category in library.categories
+    ]
     settings = {"objects": [s.name for s in sources], "samples": _SAMPLES, **asdict(config)}
+    settings["gps"] = [folder.name for folder in library.folders[1:]]
     kept: dict[tuple[str, int], list[CompletionRow]] = {}
     if known is not None and known["settings"] == settings:
         for record in known["trials"]:
@@ -136,6 +141,7 @@ def bench_completion(
 
 def _rows_of_view(job, *, methods: tuple[str, ...], config: CompletionConfig) -> list[CompletionRow]:
     source, number, kept = job
+    library = PrimitiveLibrary.from_option(config.gps)
     done = {row.method: row for row in kept}
     name_seed = int.from_bytes(hashlib.sha256(source.name.encode()).digest()[:4], "little")
     rng = np.random.default_rng([config.seed, number, name_seed])
@@ -153,7 +159,7 @@ def _rows_of_view(job, *, methods: tuple[str, ...], config: CompletionConfig) ->
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
                 told = source.category if config.give_category else None
-                answer = run_method(method, view, told, source.category)
+                answer = run_method(method, view, told, source.category, library=library)
         except GfpGraspError as error:
             figures["error"] = type(error).__name__
             answer = None

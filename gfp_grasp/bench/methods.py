@@ -14,9 +14,9 @@ from gfp_grasp.completers import CONFIGS, complete_as_observed, mirror_cloud
 from gfp_grasp.completion import Completion
 from gfp_grasp.deform import DeformConfig, Method
 from gfp_grasp.detect import detect_single
-from gfp_grasp.primitives import load_primitive
+from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.register import FitConfig, icp_config, pcrnet_config
-from gfp_grasp.types import Detection
+from gfp_grasp.types import Detection, GenericPrimitive
 
 UNDEFORMED = "registration"
 _ITERATIONS = range(1, 8)
@@ -35,7 +35,9 @@ class Answer:
     completion: Completion | None = None
 
 
-def run_method(name: str, view: ObjectView, category: str | None, given: str) -> Answer:
+def run_method(
+    name: str, view: ObjectView, category: str | None, given: str, *, library: PrimitiveLibrary | None = None
+) -> Answer:
     """One method on one view.
 
     Args:
@@ -44,13 +46,14 @@ def run_method(name: str, view: ObjectView, category: str | None, given: str) ->
         view: The view; a method gets its cloud.
         category: Class that the other methods are told, or None.
         given: True class of the object.
+        library: The classes that there are; None for those that ship.
 
     Raises:
         GfpGraspError: The method has no answer.
     """
     if name in _SIMPLE:
         return Answer(_SIMPLE[name](view))
-    config, tell = config_of(name, view, given)
+    config, tell = config_of(name, view, given, library=library)
     done = complete_to_mesh(
         view.cloud.points,
         viewpoint=view.cloud.viewpoint,
@@ -60,22 +63,26 @@ def run_method(name: str, view: ObjectView, category: str | None, given: str) ->
     return Answer(done.mesh, done)
 
 
-def config_of(name: str, view: ObjectView | None = None, given: str = "") -> tuple[CompleteConfig, bool]:
+def config_of(
+    name: str, view: ObjectView | None = None, given: str = "", *, library: PrimitiveLibrary | None = None
+) -> tuple[CompleteConfig, bool]:
     """Config of a row that registers a primitive, and whether the row is told the class."""
+    library = library or PrimitiveLibrary.shipped()
     if name in _OWN:
-        return _OWN[name], False
+        return replace(_OWN[name], library=library), False
     base = name.removesuffix("-sized")
     rigid, method = _PAPER[base]
     fit = rigid()
     if name.endswith("-sized"):
         assert view is not None
-        fit = rigid(size=_true_size(view, given))
-    return CompleteConfig(fit=fit, deform=DeformConfig(method=method), rival_share=1.0, subcategories=False), True
+        fit = rigid(size=_true_size(view, library.primitive(given)))
+    deform = DeformConfig(method=method)
+    return CompleteConfig(library=library, fit=fit, deform=deform, rival_share=1.0, subcategories=False), True
 
 
-def _true_size(view: ObjectView, category: str) -> tuple[float, float, float]:
-    """Scale that gives the class's primitive the true height and mean width."""
-    true, own = extents_of(view), np.ptp(load_primitive(category).vertices, axis=0)
+def _true_size(view: ObjectView, primitive: GenericPrimitive) -> tuple[float, float, float]:
+    """Scale that gives a primitive the true height and mean width."""
+    true, own = extents_of(view), np.ptp(primitive.vertices, axis=0)
     wide = float(true[:2].mean() / own[:2].mean())
     return wide, wide, float(true[2] / own[2])
 

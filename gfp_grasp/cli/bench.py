@@ -9,6 +9,7 @@ import typer
 
 from gfp_grasp.cli.terminal import (
     BenchObjects,
+    Gps,
     JsonFile,
     Limit,
     Objects,
@@ -17,6 +18,7 @@ from gfp_grasp.cli.terminal import (
     Split,
     Workers,
     err,
+    gps_option,
     out,
     read_json,
     save_json,
@@ -40,6 +42,7 @@ def completion(
     given: Annotated[bool, typer.Option("--given-category", help="Tell the methods the true class.")] = False,
     noise_m: Annotated[float, typer.Option(min=0.0, help="Standard deviation of the depth noise.")] = 0.001,
     protocol: Annotated[str, typer.Option(help="standard, noisy, fallen or hidden.")] = "standard",
+    folders: Gps = None,
     workers: Workers = 1,
     ray: Ray = None,
     json_file: JsonFile = None,
@@ -55,7 +58,7 @@ def completion(
 
     named = {"all": METHODS, "brief": BRIEF}
     chosen = named[methods] if methods in named else tuple(methods.split(","))
-    config = CompletionConfig(views, seed, split, limit, given, noise_m, protocol)
+    config = CompletionConfig(views, seed, split, limit, given, noise_m, protocol, gps_option(folders))
     known = read_json(json_file) if resume else None
     report = bench_completion(
         objects, methods=chosen, config=config, known=known, workers=workers, ray=ray, progress=track("views")

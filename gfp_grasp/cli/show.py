@@ -36,7 +36,7 @@ def view(
     ] = None,
     objects: Annotated[
         str | None,
-        typer.Option(help="Instead: episodes with a family (cup, mug, bottle; several: cup,mug), mesh file or folder."),
+        typer.Option(help="Instead: episodes with procedural families or all of them, a mesh file, or a folder."),
     ] = None,
     category: Annotated[str | None, typer.Option(help="Class of the object in the capture.")] = None,
     folders: Gps = None,

@@ -36,7 +36,7 @@ Workers = Annotated[int, typer.Option(min=0, help="Processes; 0 is one a core.")
 Ray = Annotated[str | None, typer.Option(help="Run on a Ray cluster: auto (this machine's), or host:port of its head.")]
 Limit = Annotated[int | None, typer.Option(min=1, help="At most so many objects (of each family).")]
 Split = Annotated[str, typer.Option(help="Of the procedural families: train, val or test.")]
-Objects = Annotated[str, typer.Option(help="Family (cup, mug, bottle; several: cup,mug), mesh file or folder.")]
+Objects = Annotated[str, typer.Option(help="Procedural families with commas between or all, a mesh file, or a folder.")]
 Files = Annotated[bool, typer.Option("--files", help="Write the meshes of .xml to files beside it, not into itself.")]
 Gps = Annotated[
     list[Path] | None,
