@@ -111,7 +111,8 @@ def bench_completion(
         s for s in load_objects(objects, split=config.split, limit=config.limit) if s.category in library.categories
     ]
     settings = {"objects": [s.name for s in sources], "samples": _SAMPLES, **asdict(config)}
-    settings["gps"] = [folder.name for folder in library.folders[1:]]
+    if settings.pop("gps"):
+        settings["gps"] = [folder.name for folder in library.folders[1:]]
     kept: dict[tuple[str, int], list[CompletionRow]] = {}
     if known is not None and known["settings"] == settings:
         for record in known["trials"]:
