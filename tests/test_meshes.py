@@ -6,9 +6,19 @@ import numpy as np
 import pytest
 import real_data
 import trimesh
+from toy_bodies import dense_laplacian, l_body
 
 from gfp_grasp.errors import InvalidMesh, InvalidOption, UnreadableFile
-from gfp_grasp.meshes import check_mesh, crossing_faces, load_mesh, make_solid, sample_surface, vertex_normals
+from gfp_grasp.meshes import (
+    check_mesh,
+    crossing_faces,
+    graph_laplacian,
+    load_mesh,
+    make_solid,
+    neighbour_average,
+    sample_surface,
+    vertex_normals,
+)
 from gfp_grasp.shapes import make_shape
 
 
@@ -224,3 +234,14 @@ def _pierces(start: np.ndarray, end: np.ndarray, triangle: np.ndarray) -> bool:
     system = np.stack([triangle[1] - triangle[0], triangle[2] - triangle[0], start - end], axis=1)
     u, v, t = np.linalg.solve(system, start - triangle[0])
     return bool(u >= 0 and v >= 0 and u + v <= 1 and 0 <= t <= 1)
+
+
+def test_each_vertex_is_compared_with_the_mean_of_its_neighbours():
+    body = l_body(0.02)
+    faces, count = np.asarray(body.faces), len(body.vertices)
+    wanted = dense_laplacian(faces, count)
+    np.testing.assert_allclose(graph_laplacian(faces, count).toarray(), wanted, atol=1e-15)
+    np.testing.assert_allclose(neighbour_average(faces, count).toarray(), np.eye(count) - wanted, atol=1e-15)
+    alone = neighbour_average(faces, count + 1).toarray()
+    assert not alone[-1].any()
+    assert not alone[:, -1].any()

@@ -9,8 +9,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse.linalg import factorized
 
-from gfp_grasp.deform.gfs import laplacian
-from gfp_grasp.meshes import crossing_faces
+from gfp_grasp.meshes import crossing_faces, graph_laplacian, neighbour_average
 from gfp_grasp.types import GenericPrimitive
 
 _STIFFNESS = 0.3
@@ -33,7 +32,7 @@ def diffuse(primitive: GenericPrimitive, displacement: np.ndarray, confidence: n
 def _diffuser(primitive: GenericPrimitive, confidence_bytes: bytes) -> Callable[[np.ndarray], np.ndarray]:
     """The factorised system of one primitive and confidence: the default network's is the same for every fit."""
     confidence = np.frombuffer(confidence_bytes)
-    L = laplacian(primitive.faces, len(confidence))
+    L = graph_laplacian(primitive.faces, len(confidence))
     return factorized(sparse.csc_matrix(sparse.diags(confidence) + _STIFFNESS * (L.T @ L)))
 
 
@@ -51,7 +50,7 @@ def damp_until_solid(vertices: np.ndarray, faces: np.ndarray, displacement: np.n
         (v, 3) m moved vertices, and the smallest share of its displacement that a vertex kept.
     """
     share = np.ones(len(vertices))
-    neighbours = _adjacency(faces.tobytes(), len(faces), len(vertices))
+    average = _cached_average(faces.tobytes(), len(faces), len(vertices))
     for _ in range(_HALVINGS):
         moved = vertices + share[:, None] * displacement
         bad = _bad_faces(vertices, moved, faces)
@@ -60,7 +59,7 @@ def damp_until_solid(vertices: np.ndarray, faces: np.ndarray, displacement: np.n
         near = np.zeros(len(vertices))
         near[faces[bad].ravel()] = 1.0
         for _ in range(3):  # a soft hole, or the damping itself would make a step
-            near = np.maximum(near, 0.7 * (neighbours @ near))
+            near = np.maximum(near, 0.7 * (average @ near))
         share *= 1.0 - 0.5 * np.minimum(near, 1.0)
     for factor in (0.5, 0.25, 0.1, 0.0):
         moved = vertices + factor * share[:, None] * displacement
@@ -82,7 +81,6 @@ def _cross(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 
 
 @lru_cache(maxsize=32)
-def _adjacency(face_bytes: bytes, num_faces: int, num_vertices: int) -> sparse.csr_matrix:
-    """Largest-of-neighbours is wanted, the mean will do: rows sum to one."""
+def _cached_average(face_bytes: bytes, num_faces: int, num_vertices: int) -> sparse.csr_matrix:
     faces = np.frombuffer(face_bytes, dtype=np.int64).reshape(num_faces, 3)
-    return sparse.csr_matrix(sparse.eye(num_vertices) - laplacian(faces, num_vertices))
+    return neighbour_average(faces, num_vertices)

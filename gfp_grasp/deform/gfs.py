@@ -17,7 +17,7 @@ from scipy.sparse.linalg import factorized
 from scipy.spatial import KDTree
 
 from gfp_grasp.errors import InvalidOption
-from gfp_grasp.meshes import vertex_normals
+from gfp_grasp.meshes import graph_laplacian, vertex_normals
 
 _MIN_NORMAL_COSINE = 0.5
 # Opposite walls are kept apart: a difference of normals of one unit counts like this distance, in patch units.
@@ -77,7 +77,7 @@ def evolve(
     """
     if len(points) == 0:
         return vertices.copy()
-    L = laplacian(faces, len(vertices))
+    L = graph_laplacian(faces, len(vertices))
     solve = factorized(sparse.csc_matrix(sparse.eye(len(vertices)) + config.elastic * L + config.bending * (L.T @ L)))
     normal_length_m = _NORMAL_LENGTH * unit_m
     tree = KDTree(np.hstack([points, normal_length_m * normals]))
@@ -99,13 +99,3 @@ def evolve(
             force = force + config.tangential * np.einsum("vki,vk->vi", gap, weight)
         displacement = np.column_stack([solve(column) for column in (displacement + config.pull * force).T])
     return vertices + displacement
-
-
-def laplacian(faces: np.ndarray, num_vertices: int) -> sparse.csr_matrix:
-    """Random-walk graph Laplacian (v, v): x minus the mean of its mesh neighbours."""
-    rows = faces[:, [0, 1, 2, 1, 2, 0]].ravel()
-    columns = faces[:, [1, 2, 0, 0, 1, 2]].ravel()
-    adjacency = sparse.csr_matrix((np.ones(len(rows)), (rows, columns)), shape=(num_vertices, num_vertices))
-    adjacency.data[:] = 1.0
-    degree = np.maximum(np.asarray(adjacency.sum(axis=1)).ravel(), 1.0)
-    return sparse.csr_matrix(sparse.eye(num_vertices) - sparse.diags(1.0 / degree) @ adjacency)

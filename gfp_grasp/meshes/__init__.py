@@ -1,6 +1,7 @@
 """Triangle meshes: reading and checking them, sampling, crossings, and making solids of broken ones."""
 
 from gfp_grasp.meshes.crossing import crossing_faces
+from gfp_grasp.meshes.laplacian import graph_laplacian, neighbour_average
 from gfp_grasp.meshes.load import SUFFIXES, check_mesh, every_suffix, load_mesh
 from gfp_grasp.meshes.solid import make_solid
 from gfp_grasp.meshes.surface import sample_surface, vertex_normals
@@ -10,8 +11,10 @@ __all__ = [
     "check_mesh",
     "crossing_faces",
     "every_suffix",
+    "graph_laplacian",
     "load_mesh",
     "make_solid",
+    "neighbour_average",
     "sample_surface",
     "vertex_normals",
 ]

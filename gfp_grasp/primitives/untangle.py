@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy import sparse
 
-from gfp_grasp.meshes import crossing_faces, vertex_normals
+from gfp_grasp.meshes import crossing_faces, neighbour_average, vertex_normals
 
 # A face that leans more than 75 degrees away from the surface around it is folded, or about to be.
 _LEAN = 0.25
@@ -70,16 +69,6 @@ def folded_faces(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     around = vertex_normals(vertices, faces)[faces].sum(axis=1)
     lengths = np.linalg.norm(normals, axis=1) * np.linalg.norm(around, axis=1)
     return (normals * around).sum(axis=1) < _LEAN * lengths
-
-
-def neighbour_average(faces: np.ndarray, count: int) -> sparse.csr_matrix:
-    """(v, v) matrix that takes vertices to the mean of their neighbours."""
-    rows, columns = faces.ravel(), np.roll(faces, -1, axis=1).ravel()
-    adjacency = sparse.csr_matrix(
-        (np.ones(2 * len(rows)), (np.concatenate([rows, columns]), np.concatenate([columns, rows]))), (count, count)
-    )
-    adjacency.data[:] = 1.0  # each edge was counted from both of its faces
-    return sparse.diags(1 / np.maximum(np.asarray(adjacency.sum(axis=1)).ravel(), 1)) @ adjacency
 
 
 def _grown(bad: np.ndarray, faces: np.ndarray, count: int, rings: int) -> np.ndarray:
