@@ -179,18 +179,19 @@ def test_the_papers_methods_run_their_own_networks(monkeypatch, fit, view, metho
     assert np.isnan(deformed.sigma_m).all()
 
 
-def test_the_papers_network_sees_only_patches_with_points_and_what_it_says_is_diffused(monkeypatch, fit, view):
-    step = 0.03
-    network = Answering(monkeypatch, lambda source, template: source + torch.tensor([0.0, 0.0, step]))
-    deformed = deform(fit, view, config=DeformConfig(method="gfpnet-paper"))
+def test_the_papers_network_sees_only_patches_with_points_and_what_it_says_is_diffused(monkeypatch, fit):
+    """Only a spot of the wall was seen: patches that see nothing hold vertices that no answer reaches."""
+    vertices = fit.primitive.shape(fit.coefficients, fit.scale)
+    middle = np.argmax(vertices @ (0.5, 0.3, 0.0) - np.abs(vertices[:, 2] - 0.06))
+    spot = vertices[:320][np.linalg.norm(vertices[:320] - vertices[middle], axis=1) < 0.026]
+    network = Answering(monkeypatch, lambda source, template: source + torch.tensor([0.0, 0.0, 0.03]))
+    deformed = deform(fit, view_of(spot, EYE), config=DeformConfig(method="gfpnet-paper"))
     moved = np.linalg.norm(displacement_of(deformed, fit), axis=1)
     index, _ = patch_layout(fit.primitive)
-    count = len(network.asked[0][0][0])
-    assert 5 < count < len(index)
-    # Patches that see nothing hold vertices that no answer reaches: diffusion moves these, and softly.
+    assert 1 <= len(network.asked[0][0][0]) < len(index) / 2
     a, b = fit.primitive.faces[:, 0], fit.primitive.faces[:, 1]
-    assert (moved > 0).all()
-    assert np.abs(moved[a] - moved[b]).max() < 0.5 * moved.max()
+    assert (moved < 1e-4 * moved.max()).mean() < 0.2  # but for diffusion it would be most of them
+    assert np.abs(moved[a] - moved[b]).max() < 0.7 * moved.max()
 
 
 def test_symmetry_is_used_where_it_is_asked_for_and_never_by_the_papers_method(monkeypatch, fit, view):
