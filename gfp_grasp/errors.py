@@ -61,6 +61,10 @@ class InvalidAction(GfpGraspError, ValueError):
     """An action that is not a finite vector of the action space."""
 
 
+class InvalidGrasp(GfpGraspError, ValueError):
+    """A grasp whose pose is no finite (4, 4) matrix, or whose width is no width."""
+
+
 class InvalidScene(GfpGraspError, ValueError):
     """A scene that MuJoCo does not compile; the message names the part."""
 

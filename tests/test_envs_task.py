@@ -1,6 +1,8 @@
 """Episodes and trials without gymnasium's interface: what is drawn, seen, observed, and shared with the environment."""
 
-from dataclasses import replace
+import inspect
+import pydoc
+from dataclasses import fields, replace
 from typing import Any
 
 import numpy as np
@@ -10,7 +12,7 @@ import trimesh
 from gfp_grasp.envs import ActionCode, EnvConfig, Episode, GfpGraspEnv, GraspTask, Randomisation, TrialSettings, shade
 from gfp_grasp.envs import episode as episode_module
 from gfp_grasp.envs.observation import observation_space, observe
-from gfp_grasp.errors import InvalidOption, InvalidScene, NothingDetected
+from gfp_grasp.errors import InvalidGrasp, InvalidOption, InvalidScene, NothingDetected
 from gfp_grasp.grasps import plan_grasps
 from gfp_grasp.scenes import TARGET, SceneObject, World
 from gfp_grasp.transforms import apply_T, look_at, make_T
@@ -345,3 +347,25 @@ def test_a_closing_axis_is_made_square_to_the_approach_and_not_the_other_way():
     T = ActionCode().decode(action).T_world_gripper
     np.testing.assert_allclose(T[:3, 2], (0.6, 0, -0.8))
     assert T[:3, 1] @ T[:3, 2] == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("pose", [np.eye(3), np.full((4, 4), np.nan), "down", None])
+def test_a_grasp_without_a_pose_is_refused_as_a_grasp(pose):
+    with pytest.raises(InvalidGrasp, match="T_world_gripper"):
+        Grasp(pose, 0.05)
+
+
+@pytest.mark.parametrize("width_m", [-1e-6, np.inf, np.nan, "wide", None, (0.01, 0.02)])
+def test_a_grasp_without_a_width_is_refused_as_a_grasp(width_m):
+    with pytest.raises(InvalidGrasp, match="width_m"):
+        Grasp(np.eye(4), width_m)
+    assert Grasp(np.eye(4), np.array(0)).width_m == 0.0
+
+
+def test_the_constructor_shows_its_options_with_types_and_defaults():
+    shown = inspect.signature(GfpGraspEnv).parameters
+    assert list(shown) == [option.name for option in fields(EnvConfig)]
+    assert shown["clutter"].default == 0
+    assert shown["clutter"].annotation == "int"
+    assert all(option.kind is inspect.Parameter.KEYWORD_ONLY for option in shown.values())
+    assert "clutter: 'int' = 0" in pydoc.render_doc(GfpGraspEnv, renderer=pydoc.plaintext)

@@ -1,5 +1,6 @@
 """The environment in vectors, and before the checkers of the libraries that it is used with."""
 
+import os
 import subprocess
 import sys
 import warnings
@@ -142,6 +143,38 @@ def test_stable_baselines_finds_nothing_else_to_complain_of(objects):
         said = "Your observation (observed|completed|depth) has an unconventional shape"
         warnings.filterwarnings("ignore", said, UserWarning)
         checker.check_env(env.unwrapped, skip_render_check=False)
+
+
+def test_workers_that_are_forked_after_a_completion_answer(objects):
+    """GNU OpenMP does not survive a fork once its pool has started: no public call may start it."""
+    code = """
+import multiprocessing, sys, warnings
+from concurrent.futures import ProcessPoolExecutor
+import gymnasium, trimesh
+import gfp_grasp
+
+warnings.simplefilter("ignore")
+points = trimesh.creation.cylinder(0.03, 0.12).sample(3000, seed=0)
+points = points[points[:, 0] > 0.005] + (0, 0, 0.06)
+
+
+def complete(seed):
+    return gfp_grasp.complete_to_mesh(points, viewpoint=(0.6, 0, 0.3), seed=seed).category
+
+
+known = complete(0)
+context = multiprocessing.get_context("fork")
+with context.Pool(1) as pool:
+    print(pool.apply(complete, (0,)) == known)
+with ProcessPoolExecutor(1, mp_context=context) as executor:
+    print(executor.submit(complete, 0).result() == known)
+envs = gymnasium.make_vec("gfp_grasp:GfpGrasp-v0", 1, "async", objects=sys.argv[1], completer="gfpnet", num_points=64)
+print(not envs.reset(seed=0)[1]["completion_failed"][0])
+envs.close()
+"""
+    free = {name: value for name, value in os.environ.items() if not name.endswith("_NUM_THREADS")}
+    done = subprocess.run([sys.executable, "-c", code, objects], capture_output=True, text=True, timeout=400, env=free)
+    assert done.stdout.split() == ["True"] * 3, done.stderr
 
 
 @pytest.mark.slow  # an interpreter and a worker each

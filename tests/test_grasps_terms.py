@@ -414,6 +414,14 @@ def test_the_hidden_share_counts_eight_places_in_each_box_of_the_jaws():
     np.testing.assert_array_equal(shares, [1.0, 0.0])
 
 
+def test_places_are_three_fifths_of_the_way_to_the_corners_of_the_boxes():
+    """Two boxes a jaw, 20 mm wide along x: a plate that hides all beyond 5 mm, or beyond 7 mm, of a far camera."""
+    opening, eye = np.array([0.06]), np.array([0.0, 1000.0, 0.0])
+    for inner_m, share in ((0.005, 0.5), (0.007, 0.0)):
+        plate = trimesh.creation.box(bounds=[[inner_m, 0.2, -0.3], [0.3, 0.201, 0.3]])
+        assert hidden_share(np.eye(4)[None], opening, plate, eye, GRIPPER)[0] == pytest.approx(share)
+
+
 # How the terms make a rank
 
 

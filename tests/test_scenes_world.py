@@ -1,5 +1,6 @@
 """Worlds, masses, friction, poses and places of objects that are not symmetric."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import mujoco
@@ -10,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from gfp_grasp.collision import hull
 from gfp_grasp.errors import DecompositionFailed, InvalidMesh, InvalidOption, InvalidScene
+from gfp_grasp.primitives import PrimitiveLibrary, save_primitive
 from gfp_grasp.scenes import (
     SceneObject,
     World,
@@ -18,6 +20,7 @@ from gfp_grasp.scenes import (
     compile_scene,
     gripper,
     gripper_pose,
+    load_objects,
     objects,
     place_clutter,
     place_gripper,
@@ -25,7 +28,7 @@ from gfp_grasp.scenes import (
     true_object,
 )
 from gfp_grasp.transforms import apply_T, make_T, rotation_about
-from gfp_grasp.types import CollisionMesh, ConvexPart
+from gfp_grasp.types import CategorySpec, CollisionMesh, ConvexPart
 
 TILTED = make_T(rotation_about((1, -2, 0.5), 0.8), (0.1, -0.05, 0.4))
 
@@ -303,10 +306,14 @@ class Told:
         return low + self.share * (high - low)
 
 
-def test_an_open_vessel_weighs_as_its_walls_and_a_closed_one_as_filled():
+def open_cylinder():
     outer, inner = trimesh.creation.cylinder(0.04, 0.1), trimesh.creation.cylinder(0.037, 0.1)
     inner.apply_translation((0, 0, 0.003))
-    cup = trimesh.boolean.difference([outer, inner])
+    return trimesh.boolean.difference([outer, inner])
+
+
+def test_an_open_vessel_weighs_as_its_walls_and_a_closed_one_as_filled():
+    cup = open_cylinder()
     for mesh, densities in ((cup, (900.0, 2400.0)), (box((0.05, 0.06, 0.12)), (150.0, 1050.0))):
         for share in (0.0, 0.5, 1.0):
             rng = Told(share)
@@ -314,6 +321,36 @@ def test_an_open_vessel_weighs_as_its_walls_and_a_closed_one_as_filled():
             assert rng.asked == [densities, (0.4, 1.0)]
             assert thing.mass_kg == pytest.approx(mesh.volume * (densities[0] + share * np.ptp(densities)))
             assert thing.friction == pytest.approx(0.4 + 0.6 * share)
+
+
+@pytest.mark.parametrize(
+    ("hollow", "is_open", "densities"),
+    [
+        (True, True, (10.0, 20.0)),
+        (False, False, (10.0, 20.0)),
+        (True, False, (150.0, 1050.0)),  # a cup with its lid on
+        (False, True, (900.0, 2400.0)),  # a bottle cut open
+    ],
+)
+def test_the_card_of_a_class_says_how_dense_its_members_are(hollow, is_open, densities):
+    spec = CategorySpec("bowl", hollow=hollow, density_kg_m3=(10.0, 20.0))
+    rng = Told(0.0)
+    true_object(open_cylinder() if is_open else box((0.05, 0.06, 0.12)), "x", "bowl", rng, hull, spec=spec)
+    assert rng.asked[0] == densities
+
+
+def test_a_source_asks_the_library_that_it_is_given(tmp_path):
+    """The shipped bottle at twice the density, in a folder of its own."""
+    shipped = PrimitiveLibrary.shipped()
+    low, high = shipped.spec("bottle").density_kg_m3
+    heavy = replace(shipped.spec("bottle"), density_kg_m3=(2 * low, 2 * high))
+    save_primitive(replace(shipped.primitive("bottle"), spec=heavy), tmp_path)
+    box((0.05, 0.06, 0.12)).export(tmp_path / "bottle__square.ply")
+    (source,) = load_objects(tmp_path / "bottle__square.ply")
+    plain, doubled = (source.load(decompose=hull, library=library) for library in (None, PrimitiveLibrary(tmp_path)))
+    assert doubled.mass_kg == pytest.approx(2 * plain.mass_kg)
+    unknown = replace(source, category="teapot").load(decompose=hull)
+    assert unknown.mass_kg == plain.mass_kg
 
 
 def test_half_a_hull_of_material_is_a_filled_body_and_less_a_vessel():
@@ -375,11 +412,7 @@ def test_plane_cuts_are_taken_where_they_are_true_enough_and_coacd_where_it_is_b
             return found(*coacd, maker="coacd")
 
         monkeypatch.setattr("gfp_grasp.collision.decompose", whole)
-        for home in ("gfp_grasp.scenes.cutting", "gfp_grasp.collision"):
-            try:
-                monkeypatch.setattr(f"{home}.cut_parts", cut)
-            except (ImportError, AttributeError):
-                continue
+        monkeypatch.setattr("gfp_grasp.collision.cut_parts", cut, raising=False)
         result = objects._decompose(box((0.05, 0.05, 0.05)))
         return result.made_by, result.error_m[0], asked
 

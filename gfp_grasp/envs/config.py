@@ -26,13 +26,13 @@ class EnvConfig:
         completer: Name, see `gfp_grasp.completers.completer`.
         world: "true" simulates the true object, "completed" the completion's convex parts in its place.
         split: Which seeds of a family: train, val or test.
-        limit: Use the first so many objects; 0 uses all.
-        clutter: So many other objects stand around the one to be grasped.
+        limit: Number of objects that are used, the first ones; 0 uses all.
+        clutter: Number of other objects that stand around the one to be grasped.
         num_points: Rows of both clouds in the observation.
         image_width: Columns of the depth picture.
         image_height: Rows.
         fov_deg: Vertical field of view, above 0 and below 180.
-        distance_m: From the camera to the object.
+        distance_m: Distance from the camera to the object.
         elevation_min_deg: Lowest view above the horizon.
         elevation_max_deg: Highest.
         sensor: "ideal", "gaussian", "realsense" or "kinect".
@@ -43,7 +43,7 @@ class EnvConfig:
         grip_min_n: Weakest force limit of the jaws.
         grip_max_n: Strongest.
         spread_m: Without clutter, the object stands within this of the table's centre, along x and along y.
-        render_mode: None, "rgb_array", or "human" for MuJoCo's viewer, which shows attempts as they are made.
+        render_mode: None, "rgb_array", or "human" for MuJoCo's viewer, which shows trials as they go on.
     """
 
     objects: str = "all"
@@ -100,7 +100,7 @@ class EnvConfig:
 
     @classmethod
     def of(cls, options: dict[str, object]) -> EnvConfig:
-        """From keyword arguments.
+        """Make the options from keyword arguments.
 
         Raises:
             InvalidOption: One is unknown or has a value that is not legal; the message lists what is.
@@ -131,10 +131,10 @@ class EnvConfig:
 
 
 def _plain(name: str, kind: str, value: object) -> str | int | float | None:
-    """The value as Python's own type, whatever number or path it came as.
+    """The value as a type of Python's own, whatever number or path it came as.
 
     Raises:
-        InvalidOption: It is of another kind, or a number that is not finite.
+        InvalidOption: The value is of another kind, or a number that is not finite.
     """
     if kind.startswith("str"):
         if isinstance(value, str) or (value is None and "None" in kind):

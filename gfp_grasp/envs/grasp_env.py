@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+from inspect import Parameter, Signature
 from typing import Any, ClassVar, Literal
 
 import gymnasium
@@ -29,7 +31,7 @@ class GfpGraspEnv(gymnasium.Env[Observation, np.ndarray], EzPickle):
     """One object on a table, alone or among clutter, one depth view of it, one grasp.
 
     An episode is one step: the action is a grasp, which is approached, closed, lifted and shaken
-    (`gfp_grasp.envs.settings.TrialSettings` has every number of it). The reward is 1 where the object is held to the
+    (`gfp_grasp.envs.TrialSettings` has every number of it). The reward is 1 where the object is held to the
     end and 0 elsewhere; `terminated` is always True, `truncated` always False. Stepping again without a reset tries
     another grasp on the same scene, as it was. With world="completed" the completion's convex parts stand in for the
     object, and weigh nothing until the jaws have closed.
@@ -61,8 +63,8 @@ class GfpGraspEnv(gymnasium.Env[Observation, np.ndarray], EzPickle):
     | key | type | meaning |
     |---|---|---|
     | is_success | bool | held to the end |
-    | reason | str | one of `gfp_grasp.types.REASONS`; "" before an attempt |
-    | lift_m | float | height gained by the object when the attempt ended |
+    | reason | str | one of `gfp_grasp.types.REASONS`; "" before a trial |
+    | lift_m | float | height that the object had gained when the trial ended |
     | slip_m | float | the most that it slipped in the gripper |
     | falls_free | bool | fell when the jaws opened at last; False where it was not held until then |
     | object, category | str | name and class of the true object; the class is "" where it is unknown |
@@ -74,8 +76,9 @@ class GfpGraspEnv(gymnasium.Env[Observation, np.ndarray], EzPickle):
     | completion_notes | str | warnings given on the way |
     | num_observed | int | points seen on the object, before they are thinned; 0 where nothing was detected |
 
-    Options of the constructor are those of `gfp_grasp.envs.config.EnvConfig`. Options of reset: `object` (number of
-    the object, instead of a random one) and `completion` (a `Completion` to be used instead of the completer's).
+    Options of the constructor are those of `gfp_grasp.envs.EnvConfig`, whose docstring tells what each means;
+    `inspect.signature(GfpGraspEnv)` lists them with their defaults. Options of reset: `object` (number of the object,
+    instead of a random one) and `completion` (a `Completion` to be used instead of the completer's).
 
     Raises:
         InvalidOption: An option that is unknown or not legal; the message lists what is.
@@ -89,6 +92,14 @@ class GfpGraspEnv(gymnasium.Env[Observation, np.ndarray], EzPickle):
         "render_modes": ["rgb_array", "human"] if has_display() else ["rgb_array"],
         "render_fps": 1,
     }
+
+    # What tools and people see of the constructor: the options by name, with types and defaults.
+    __signature__: ClassVar[Signature] = Signature(
+        [
+            Parameter(option.name, Parameter.KEYWORD_ONLY, default=option.default, annotation=option.type)
+            for option in dataclasses.fields(EnvConfig)
+        ]
+    )
 
     def __init__(self, **options: Any) -> None:
         EzPickle.__init__(self, **options)

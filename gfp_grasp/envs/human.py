@@ -36,7 +36,7 @@ class HumanView:
             )
         self._model: mujoco.MjModel | None = None
         self._window: Any = None
-        self._ahead_s = 0.0  # of the clock's time over that of the state
+        self._ahead_s = 0.0  # the clock's time less that of the state
 
     def show(self, model: mujoco.MjModel, data: mujoco.MjData) -> None:
         """Show a state, in a new window where it is of another model; a window that was closed stays so."""

@@ -1,4 +1,4 @@
-"""What one attempt goes through, in numbers."""
+"""What a trial goes through, in numbers."""
 
 from dataclasses import asdict, dataclass, fields
 
@@ -7,12 +7,12 @@ from gfp_grasp.errors import InvalidOption
 
 @dataclass(frozen=True)
 class TrialSettings:
-    """One attempt, step by step; every outcome carries these numbers.
+    """A trial, step by step; every outcome carries these numbers.
 
     1. Approach: from standoff_m behind the grasp, along its z, in approach_s. A contact force above touch_n on
        anything, or an object pushed by push_m, is `collided_on_approach`.
-    2. Close: the jaws close by grip_ramp_mps, then press until close_s is over, each with grip_n at most. Not both
-       pads on the object: `no_contact`.
+    2. Close: the jaws close by grip_ramp_mps, then press until close_s is over, each with grip_n at most. Fewer than
+       two pads on the object then is `no_contact`.
     3. Lift by lift_m straight up in lift_s, then hold for hold_s.
     4. Shake: shake_cycles of a sinusoid of shake_m along the world's x and then y at shake_hz (3 m/s2 at its peak),
        then a turn by turn_deg to either side about each of these axes through the gripper at turn_hz.
@@ -25,20 +25,20 @@ class TrialSettings:
 
     Attributes:
         standoff_m: Length of the approach.
-        approach_s: Its duration.
+        approach_s: Duration of the approach.
         touch_n: Contact force that counts as a collision.
-        push_m: Displacement of the object that counts as one.
+        push_m: Displacement of the object that counts as a collision.
         close_s: Time for the jaws to close and settle.
         grip_ramp_mps: Speed of the opening while they close.
         grip_n: Force limit of each jaw.
         lift_m: Height of the lift.
-        lift_s: Its duration.
-        hold_s: Rest after it.
+        lift_s: Duration of the lift.
+        hold_s: Rest after the lift.
         shake_m: Amplitude of the shaking sinusoid.
-        shake_hz: Its frequency.
-        shake_cycles: Its cycles along each axis.
+        shake_hz: Frequency of the shaking sinusoid.
+        shake_cycles: Cycles along each axis.
         turn_deg: Amplitude of the shaking rotation.
-        turn_hz: Its frequency; one cycle about each axis.
+        turn_hz: Frequency of that rotation; one cycle about each axis.
         slip_m: Limit of slip.
         slip_deg: Limit of turning.
         release_s: Time for a released object to fall.
@@ -76,5 +76,5 @@ class TrialSettings:
                 raise InvalidOption(f"TrialSettings.{field.name} is {value}; a positive finite number is expected")
 
     def as_dict(self) -> dict[str, float]:
-        """For an Outcome and for result files."""
+        """The numbers by name, for an Outcome and for result files."""
         return asdict(self)

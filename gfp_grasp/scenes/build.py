@@ -22,7 +22,7 @@ _SOLREF = (0.008, 1.0)  # stiff: twice the least that a step of 2 ms can follow
 _SOLIMP = (0.95, 0.99, 0.001, 0.5, 2.0)  # 30 N sink a pad by 0.26 mm, MuJoCo's default by 0.43
 # Below these MuJoCo finds no hull or no volume, and says so without naming the part.
 _LEAST_VOLUME_M3, _LEAST_THICKNESS_M = 1e-11, 2e-5
-# Hundreds of parts in touch with table and gripper; the system gives only what of it is used.
+# Room for hundreds of parts that touch table and gripper; the system gives only as much as is used.
 _ARENA_BYTES = 2**27
 _COLOURS = ("#4f7cac", "#c05746", "#6b9080", "#d9a441", "#7d5ba6", "#3d5a80", "#a26769", "#588157")
 

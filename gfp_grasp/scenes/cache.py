@@ -14,7 +14,7 @@ _memory: dict[str, CollisionMesh] = {}
 
 
 def mesh_sha256(mesh: trimesh.Trimesh) -> str:
-    """Of the vertices as little-endian float32 and the faces as int32: a mesh read twice has one hash anywhere."""
+    """Hash of the vertices as little-endian float32 and the faces as int32: a mesh read twice has one hash anywhere."""
     digest = hashlib.sha256(np.asarray(mesh.vertices, dtype="<f4").tobytes())
     digest.update(np.asarray(mesh.faces, dtype="<i4").tobytes())
     return digest.hexdigest()

@@ -53,7 +53,7 @@ def move_gripper(model: mujoco.MjModel, data: mujoco.MjData, T_world_gripper: np
 
 
 def gripper_pose(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[np.ndarray, float]:
-    """Where it is: T_world_gripper (4, 4), and the opening between its pads, m."""
+    """T_world_gripper (4, 4) of the gripper as it is, and the opening between its pads, m."""
     body = data.body(BODY)
     T = np.eye(4)
     T[:3, :3], T[:3, 3] = body.xmat.reshape(3, 3), body.xpos

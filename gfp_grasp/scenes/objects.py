@@ -11,16 +11,14 @@ import trimesh
 from gfp_grasp.errors import DecompositionFailed, InvalidMesh
 from gfp_grasp.meshes import check_mesh, make_solid
 from gfp_grasp.scenes.cache import decompose_cached
-from gfp_grasp.types import CollisionMesh, TrueObject
+from gfp_grasp.types import CategorySpec, CollisionMesh, TrueObject, default_density
 
 Decompose = Callable[[trimesh.Trimesh], CollisionMesh]
 
 # Longest side of what one hand grasps off a table; beyond it a file is in millimetres or inches, or has no unit at all.
 _SIZES_M = (0.01, 1.0)
-# A mesh that fills less of its hull than this is an open vessel, whose walls weigh; more is a bottle with contents.
+# A mesh that fills less of its hull than this is an open vessel, whose walls weigh; what fills more may have contents.
 _VESSEL_FILL = 0.5
-_WALL_DENSITY = (900.0, 2400.0)  # kg/m3, plastic to stoneware
-_FILLED_DENSITY = (150.0, 1050.0)  # kg/m3, an almost empty to a full bottle, over its outer volume
 _MASS_KG = (0.02, 1.0)
 # Mean and 95 % error that end the search. What CoACD's default threshold leaves on thin cups and mugs is 0.4 to 0.9 mm
 # and 1.3 to 3.0 mm; few parts must do better, for more of them cost 2 s where CoACD takes half a minute.
@@ -30,18 +28,26 @@ _FRICTION = (0.4, 1.0)  # rubber on wet plastic to rubber on dry stoneware
 
 
 def true_object(
-    mesh_or_shape: object, name: str, category: str, rng: np.random.Generator, decompose: Decompose | None = None
+    mesh_or_shape: object,
+    name: str,
+    category: str,
+    rng: np.random.Generator,
+    decompose: Decompose | None = None,
+    *,
+    spec: CategorySpec | None = None,
 ) -> TrueObject:
     """What the simulator holds for a mesh.
 
     Args:
         mesh_or_shape: A trimesh.Trimesh, or anything with one as `.mesh`; m, z up; open meshes are closed.
-        name: Of the data set and the mesh, never a path.
+        name: Name of the mesh in its data set, never a path.
         category: Class, or "" where it is unknown.
-        rng: Draws mass (from the volume at a density that suits a vessel or a filled bottle) and friction.
+        rng: Draws mass and friction.
         decompose: Gives the convex parts; None cuts by planes (collision.cut_parts) into up to 96 parts, where that
             leaves more than 0.5 mm mean error into up to 256, and where that leaves more than 1 mm runs
             collision.decompose; results are kept on disk by mesh.
+        spec: What is known of the class. Its density is that of an open member of a hollow class and of a closed
+            member of another class. Anything else, as a cup with a lid, has the density that things of its kind have.
 
     Returns:
         The object in its own frame: base at z = 0, the middle of its bounding box at x = y = 0 unless its own axis,
@@ -53,11 +59,16 @@ def true_object(
     """
     mesh = rested(solid_mesh(mesh_or_shape))
     fill = mesh.volume / mesh.convex_hull.volume
-    density = rng.uniform(*(_WALL_DENSITY if fill < _VESSEL_FILL else _FILLED_DENSITY))
+    density = rng.uniform(*_density_range(spec, hollow=fill < _VESSEL_FILL))
     mass_kg = float(np.clip(mesh.volume * density, *_MASS_KG))
     friction = float(rng.uniform(*_FRICTION))
     collision = _decompose_cached(mesh) if decompose is None else decompose(mesh)
     return TrueObject(name, category, mesh, collision, mass_kg, friction)
+
+
+def _density_range(spec: CategorySpec | None, *, hollow: bool) -> tuple[float, float]:
+    """Lowest and highest density, kg/m3, of an object that is hollow or not."""
+    return spec.density_kg_m3 if spec is not None and spec.hollow == hollow else default_density(hollow=hollow)
 
 
 def solid_mesh(mesh_or_shape: object) -> trimesh.Trimesh:
@@ -96,7 +107,7 @@ def _decompose_cached(mesh: trimesh.Trimesh) -> CollisionMesh:
 
 
 def _decompose(mesh: trimesh.Trimesh) -> CollisionMesh:
-    """Plane cuts where they are as true to the mesh as CoACD mostly is, for they take a twentieth of its time."""
+    """Plane cuts where they are as true to the mesh as CoACD mostly is: they take a twentieth of its time."""
     from gfp_grasp.collision import cut_parts, decompose
 
     cuts = []

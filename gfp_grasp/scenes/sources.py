@@ -13,6 +13,7 @@ import trimesh
 
 from gfp_grasp.errors import InvalidOption, UnreadableFile
 from gfp_grasp.meshes import SUFFIXES, load_mesh
+from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.scenes.objects import Decompose, rested, solid_mesh, true_object
 from gfp_grasp.transforms import make_T, rotation_about
 from gfp_grasp.types import TrueObject
@@ -60,15 +61,24 @@ class ObjectSource:
             mesh.apply_scale(self.height_m / max(float(mesh.extents[2]), 1e-12))
         return mesh
 
-    def load(self, rng: np.random.Generator | None = None, *, decompose: Decompose | None = None) -> TrueObject:
+    def load(
+        self,
+        rng: np.random.Generator | None = None,
+        *,
+        decompose: Decompose | None = None,
+        library: PrimitiveLibrary | None = None,
+    ) -> TrueObject:
         """The object with parts, mass and friction.
 
         Args:
             rng: Draws mass and friction; None draws them from the name, the same every time.
             decompose: As true_object takes it.
+            library: Knows what members of the object's class weigh; None takes the classes that ship.
         """
         rng = np.random.default_rng(zlib.crc32(self.name.encode())) if rng is None else rng
-        return true_object(self.load_mesh(), self.name, self.category, rng, decompose)
+        library = PrimitiveLibrary.shipped() if library is None else library
+        spec = library.spec(self.category) if self.category in library else None
+        return true_object(self.load_mesh(), self.name, self.category, rng, decompose, spec=spec)
 
 
 def load_objects(

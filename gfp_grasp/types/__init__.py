@@ -10,6 +10,7 @@ from gfp_grasp.types.category import (
     RESTS,
     CategorySpec,
     OptionalPart,
+    default_density,
 )
 from gfp_grasp.types.grasping import (
     REASONS,
@@ -75,6 +76,7 @@ __all__ = [
     "TrueObject",
     "Variant",
     "View",
+    "default_density",
     "default_spec",
     "get_sensor",
 ]
