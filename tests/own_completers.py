@@ -1,10 +1,13 @@
-"""Completers as a user would write them, named `own_completers:...` in tests."""
+"""Completers, planners and a detector as a user would write them, named `own_completers:...` in tests."""
 
 import numpy as np
 import trimesh
 
+from gfp_grasp.camera import cloud_of
+from gfp_grasp.detect import DetectConfig, make_detection
 from gfp_grasp.errors import FitDiverged
 from gfp_grasp.grasps import plan_grasps
+from gfp_grasp.types import SupportPlane
 
 
 def upright_box(detection):
@@ -45,6 +48,16 @@ def plans_nothing(completion, num, *, seed):
 
 def plans_badly(completion, num, *, seed):
     raise ZeroDivisionError("of my own making")
+
+
+def all_above_the_table(image, *, up):
+    """Everything more than 4 mm above z = 0 as one object, and first a crumb of the table."""
+    points, floor = cloud_of(image).points, SupportPlane(np.array([0.0, 0.0, 1.0]), 0.0)
+    table, things = points[points[:, 2] < 0.002], points[points[:, 2] > 0.004]
+    unnamed = DetectConfig(classify=False)
+    return [
+        make_detection(some, viewpoint=image.viewpoint, support=floor, config=unnamed) for some in (table[:200], things)
+    ]
 
 
 NOT_A_FUNCTION = 3

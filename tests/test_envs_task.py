@@ -12,7 +12,7 @@ import trimesh
 from gfp_grasp.envs import ActionCode, EnvConfig, Episode, GfpGraspEnv, GraspTask, Randomisation, TrialSettings, shade
 from gfp_grasp.envs import episode as episode_module
 from gfp_grasp.envs.observation import observation_space, observe
-from gfp_grasp.errors import InvalidGrasp, InvalidOption, InvalidScene, NothingDetected
+from gfp_grasp.errors import InvalidGrasp, InvalidOption, InvalidScene, NothingDetected, UnknownDetector
 from gfp_grasp.grasps import plan_grasps
 from gfp_grasp.scenes import TARGET, SceneObject, World
 from gfp_grasp.transforms import apply_T, look_at, make_T
@@ -153,10 +153,21 @@ def test_the_detection_with_most_pixels_of_the_object_is_the_object(folder):
         masks.append(mask)
     view = DepthImage(np.ones((4, 4), dtype=np.float32), np.diag([50.0, 50.0, 1.0]), np.eye(4))
     detections = tuple(replace(detection, mask=mask, view=view) for mask in masks)
-    assert episode_module._detection_of(detections, is_target) is detections[1]
+    assert episode_module._detection_of(detections, view, is_target) is detections[1]
     blind = (replace(detection, mask=None, view=None), detections[2])
     with pytest.raises(NothingDetected):
-        episode_module._detection_of(blind, is_target)
+        episode_module._detection_of(blind, view, is_target)
+
+
+def test_a_detector_of_the_user_s_own_sees_for_the_task(folder):
+    task = task_of(folder, detector="own_completers:all_above_the_table", sensor="ideal")
+    episode = task.draw(np.random.default_rng(3))
+    assert episode.failure == ""
+    assert episode.detection is not None
+    assert episode.detection.mask is None
+    assert np.asarray(episode.detection.cloud.points)[:, 2].max() > 0.1
+    with pytest.raises(UnknownDetector, match="tabletop"):
+        task_of(folder, detector="magic")
 
 
 def test_the_mask_of_the_object_is_what_the_rays_hit_of_it_and_nothing_beyond(folder):

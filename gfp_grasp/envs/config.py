@@ -22,8 +22,9 @@ class EnvConfig:
 
     Attributes:
         objects: Procedural families with commas between or "all", a mesh file, or a folder of meshes.
-        gps: Folders of primitives of your own, with a colon between (a semicolon on Windows); "" for none.
-        completer: Name, see `gfp_grasp.completers.completer`.
+        gps: Folders of primitives of the user's own, with a colon between (a semicolon on Windows); "" for none.
+        completer: Name, see `gfp_grasp.completers.get_completer`.
+        detector: Name, see `gfp_grasp.detect.get_detector`.
         world: "true" simulates the true object, "completed" the completion's convex parts in its place.
         split: Which seeds of a family: train, val or test.
         limit: Number of objects that are used, the first ones; 0 uses all.
@@ -49,6 +50,7 @@ class EnvConfig:
     objects: str = "all"
     gps: str = ""
     completer: str = "gfpnet"
+    detector: str = "tabletop"
     world: str = "true"
     split: str = "test"
     limit: int = 0

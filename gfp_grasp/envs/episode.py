@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 import trimesh
 
-from gfp_grasp.camera import apply_sensor, intrinsics, render_depth, sample_viewpoint
+from gfp_grasp.camera import apply_sensor, intrinsics, pixels_of, render_depth, sample_viewpoint
 from gfp_grasp.complete import Completion
 from gfp_grasp.completers import Completer, Oracle, needs_class
-from gfp_grasp.detect import DetectConfig, detect_objects
+from gfp_grasp.detect import Detector
 from gfp_grasp.envs.config import EnvConfig
 from gfp_grasp.errors import AssetMissing, GfpGraspError, NothingDetected
+from gfp_grasp.recognition import recognise
 from gfp_grasp.scenes import TARGET, World
 from gfp_grasp.transforms import apply_T, make_T, rotation_about
 from gfp_grasp.types import CollisionMesh, ConvexPart, DepthImage, Detection, TrueObject
@@ -81,6 +83,7 @@ class Episode:
 def draw_episode(
     truth: TrueObject,
     world: World,
+    detect: Detector,
     complete: Completer,
     config: EnvConfig,
     rng: np.random.Generator,
@@ -93,6 +96,7 @@ def draw_episode(
     Args:
         truth: The object.
         world: Its compiled scene, which is left settled.
+        detect: The detector.
         complete: The completer.
         config: Camera and placing.
         rng: Draws the domain randomisation, yaw, place, view and noise, in this order.
@@ -109,16 +113,17 @@ def draw_episode(
     T_world_object = world.pose(TARGET)
     if completion is not None:
         view = completion.detection.view
-        if view is None or view.depth_m.shape != (config.image_height, config.image_width):
+        if not isinstance(view, DepthImage) or view.shape != (config.image_height, config.image_width):
             view, _ = _look(world, truth, config, rng)
         return Episode(truth, drawn, T_world_object, view, completion.detection, completion)
     image, is_target = _look(world, truth, config, rng)
-    detect = DetectConfig(classify=needs_class(config.completer))
     detection, completed, failure = None, None, ""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         try:
-            detection = _detection_of(detect_objects(image, up=_UP, config=detect), is_target)
+            detection = _detection_of(detect(image, up=_UP), image, is_target)
+            if needs_class(config.completer):
+                detection = recognise(detection, config.library)
             completed = _complete(complete, detection, truth, T_world_object)
         except AssetMissing:  # says nothing of the object: the installation is broken
             raise
@@ -153,12 +158,21 @@ def _look(
     return image, np.append(world.geoms(TARGET), False)[geom]  # the last for -1, where there is nothing
 
 
-def _detection_of(detections: tuple[Detection, ...], is_target: np.ndarray) -> Detection:
+def _detection_of(detections: Sequence[Detection], image: DepthImage, is_target: np.ndarray) -> Detection:
     """The detection with most pixels of the object: what is asked for has been pointed at."""
-    shared = [0 if d.mask is None else int((d.mask & is_target).sum()) for d in detections]
+    shared = [int((_mask_of(detection, image) & is_target).sum()) for detection in detections]
     if not any(shared):
         raise NothingDetected("nothing of the object stands out from the table in this view")
     return detections[int(np.argmax(shared))]
+
+
+def _mask_of(detection: Detection, image: DepthImage) -> np.ndarray:
+    """Pixels (h, w) of a detection, by its mask or else by its points."""
+    if detection.mask is not None:
+        return detection.mask
+    mask = np.zeros(image.depth_m.size, dtype=bool)
+    mask[pixels_of(detection.cloud.points, image)[1]] = True
+    return mask.reshape(image.shape)
 
 
 def _complete(complete: Completer, detection: Detection, truth: TrueObject, T_world_object: np.ndarray) -> Completion:

@@ -16,6 +16,7 @@ import numpy as np
 
 from gfp_grasp.complete import Completion
 from gfp_grasp.completers import get_completer
+from gfp_grasp.detect import get_detector
 from gfp_grasp.envs.config import EnvConfig
 from gfp_grasp.envs.episode import Episode, draw_episode
 from gfp_grasp.envs.settings import TrialSettings
@@ -39,7 +40,7 @@ class GraspTask:
     """
 
     def __init__(self, config: EnvConfig, *, settings: TrialSettings = TrialSettings(), num_kept: int = 16) -> None:
-        """Find the objects and the completer; nothing is loaded yet.
+        """Find the objects, the detector and the completer; no object is loaded yet.
 
         Args:
             config: Options.
@@ -48,12 +49,13 @@ class GraspTask:
 
         Raises:
             InvalidOption: There are no such objects.
-            UnknownCompleter: There is no completer of that name.
-            UnreadableFile: The folder of objects holds no mesh.
+            UnknownCompleter, UnknownDetector: There is no completer or detector of that name.
+            UnreadableFile: The folder of objects holds no mesh, or a folder of primitives is none.
         """
         self.config = config
         self.settings = settings
         self.sources = load_objects(config.objects, config.split, config.limit or None)
+        self._detect = get_detector(config.detector)
         self._complete = get_completer(config.completer, library=config.library)
         self.num_kept = num_kept
         self._true_worlds: OrderedDict[int, tuple[TrueObject, World]] = OrderedDict()
@@ -96,7 +98,7 @@ class GraspTask:
             raise InvalidOption(f"there is no object {number!r}; there are 0 to {len(self.sources) - 1}")
         truth, world, T_start, around = self._scene(int(number), rng)
         self._episode = draw_episode(
-            truth, world, self._complete, self.config, rng, T_start=T_start, completion=completion
+            truth, world, self._detect, self._complete, self.config, rng, T_start=T_start, completion=completion
         )
         self._true_world, self._completed_world, self._around = world, None, around
         return self._episode
@@ -171,7 +173,7 @@ class GraspTask:
         if number not in self._true_worlds:
             source = self.sources[number]
             try:
-                truth = source.load()
+                truth = source.load(library=self.config.library)
                 world = World([SceneObject.of(truth, np.eye(4), name=TARGET)])
             except GfpGraspError as error:
                 advice = f"repair it or take it out of {self.config.objects!r}"
