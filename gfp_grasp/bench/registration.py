@@ -20,7 +20,7 @@ from gfp_grasp.errors import FitDiverged, InvalidOption
 from gfp_grasp.meshes import sample_surface
 from gfp_grasp.metrics import chamfer_m
 from gfp_grasp.parallel import pmap
-from gfp_grasp.primitives import load_primitive
+from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.register import FitConfig, fit_primitive
 from gfp_grasp.shapes import FAMILIES, split_seeds
 from gfp_grasp.train.views import View, ViewsConfig, render_views, shape_source
@@ -125,7 +125,7 @@ def bench_registration(
 
 def _rows_of_shape(job: tuple[str, int], *, starts: tuple[str, ...], config: RegistrationConfig) -> list[FitRow]:
     family, seed = job
-    primitive, rows = load_primitive(family), []
+    primitive, rows = PrimitiveLibrary.shipped().primitive(family), []
     for number, view in enumerate(
         render_views(shape_source(family, seed), num_views=config.views, first_seed=config.seed)
     ):

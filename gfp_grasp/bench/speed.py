@@ -26,7 +26,7 @@ from gfp_grasp.detect import detect_single
 from gfp_grasp.envs import GfpGraspEnv
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.level import make_level_view
-from gfp_grasp.primitives import load_primitive
+from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.register import FitConfig, fit_best, icp_config, pcrnet_config
 from gfp_grasp.scenes import label_of, load_objects
 from gfp_grasp.types import PointCloud
@@ -154,8 +154,12 @@ def _figures(laps: list[dict[str, float]]) -> dict[str, Any]:
 
 def _registrations(clouds: list[tuple[str, PointCloud]]) -> dict[str, float]:
     """Median milliseconds from evidence to a fit, class given."""
+    library = PrimitiveLibrary.shipped()
     found = [
-        (load_primitive(category), make_level_view(detect_single(c.points, viewpoint=c.viewpoint, category=category)))
+        (
+            library.primitive(category),
+            make_level_view(detect_single(c.points, viewpoint=c.viewpoint, category=category)),
+        )
         for category, c in clouds
     ]
     configs: dict[str, FitConfig] = {"icp": icp_config(), "pcrnet": pcrnet_config(), "registration": FitConfig()}

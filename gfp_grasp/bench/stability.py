@@ -16,7 +16,7 @@ from gfp_grasp.bench.views import procedural_classes, view_object
 from gfp_grasp.complete import complete_to_mesh
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.parallel import pmap
-from gfp_grasp.primitives import list_primitives
+from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.scenes import ObjectSource, load_objects
 from gfp_grasp.transforms import apply_T, invert_T, make_T, rotation_about
 
@@ -47,7 +47,8 @@ def bench_stability(
     """
     if motions < 1 or limit < 1:
         raise InvalidOption(f"{motions} motions of {limit} objects; at least one of each is expected")
-    sources = [s for s in load_objects(objects or procedural_classes(), limit=limit) if s.category in list_primitives()]
+    known = PrimitiveLibrary.shipped().categories
+    sources = [s for s in load_objects(objects or procedural_classes(), limit=limit) if s.category in known]
     jobs = [(source, len(range(i, motions, len(sources))), i) for i, source in enumerate(sources)]
     answers = pmap(partial(_stability, seed=seed), jobs, workers=workers, progress=progress)
     moved_mm = np.concatenate([moved for _, moved in answers])

@@ -118,14 +118,15 @@ class PrimitiveLibrary:
             paths: dict[str, Path] = {}
             for folder in self.folders:
                 found = {path.name.removesuffix(".safetensors"): path for path in folder.glob("*.safetensors")}
+                if not found:
+                    raise UnreadableFile(
+                        f"{folder} holds no primitive: `gfp-grasp gps build CLASS --out FOLDER` makes one"
+                    )
                 replaced = {name for name in found if "." not in name}
                 paths = {name: path for name, path in paths.items() if name.split(".")[0] not in replaced} | found
                 for name in found:
                     if name.split(".")[0] not in paths:
                         raise UnreadableFile(f"{found[name]} is a subcategory of a class that no folder holds")
-            if not paths:
-                listed = ", ".join(map(str, self.folders))
-                raise UnreadableFile(f"{listed} holds no primitive: `gfp-grasp gps build CLASS --out FOLDER` makes one")
             self._paths = paths
         return self._paths
 
