@@ -17,7 +17,7 @@ L = l_shape()
 DIAGONAL_M = float(np.linalg.norm([0.1, 0.06, 0.02]))
 
 
-def with_errors(errors_m: list[list[float]]) -> GenericPrimitive:
+def with_errors(errors_m: object) -> GenericPrimitive:
     """The square cup with as many parts as there are errors, all but the first of them anywhere."""
     parts = tuple(box_part([i, 0, 0], [i + 1, 1, 1]) for i in range(len(errors_m)))
     return replace(TEMPLATE, parts=parts, part_errors_m=np.array(errors_m))
@@ -49,17 +49,21 @@ def test_levels_are_tried_from_the_first_that_could_be_near_enough(growth, toler
 
 
 @pytest.mark.parametrize(
-    ("errors_m", "most", "level"),
+    ("errors_mm", "most", "level"),
     [
-        ([[1e-3, 2e-3], [2e-4, 5e-4], [1.05e-4, 1.9e-4], [1e-4, 1e-4]], 4, 3),
-        ([[1e-3, 2e-3], [2e-4, 5e-4], [1.05e-4, 2.1e-4], [1e-4, 1e-4]], 4, 4),
-        ([[1e-3, 2e-3], [2e-4, 5e-4], [1.15e-4, 1.5e-4], [1e-4, 1e-4]], 4, 4),
-        ([[1e-3, 2e-3], [2e-4, 5e-4], [1.05e-4, 1.9e-4], [1e-4, 1e-4]], 2, 2),
-        ([[1e-4, 2e-4], [1e-4, 2e-4]], 2, 1),
+        ([[1.0, 2.0], [0.2, 0.5], [0.105, 0.19], [0.1, 0.1]], 4, 3),
+        ([[1.0, 2.0], [0.2, 0.5], [0.105, 0.21], [0.1, 0.1]], 4, 4),
+        ([[1.0, 2.0], [0.2, 0.5], [0.115, 0.15], [0.1, 0.1]], 4, 4),
+        ([[1.0, 2.0], [0.2, 0.5], [0.105, 0.19], [0.1, 0.1]], 2, 2),
+        ([[0.1, 0.2], [0.1, 0.2]], 2, 1),
     ],
 )
-def test_without_a_tolerance_as_many_are_taken_as_make_a_difference(errors_m, most, level):
-    template = with_errors(errors_m)
+@pytest.mark.parametrize("size", [1.0, 30.0])
+def test_without_a_tolerance_as_many_are_taken_as_make_a_difference(errors_mm, most: int, level: int, size: float):
+    # Figures of a body of 0.2 m, and of one that is thirty times as large.
+    shrink = size * 0.2 / float(np.linalg.norm(np.ptp(TEMPLATE.vertices, axis=0)))
+    template = with_errors(1e-3 * size * np.array(errors_mm))
+    template = replace(template, vertices=shrink * TEMPLATE.vertices)
     assert _levels(template, template.vertices, CollisionConfig(max_parts=most)) == [level]
 
 

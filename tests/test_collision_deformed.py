@@ -128,16 +128,33 @@ def test_the_corners_of_a_fine_ring_are_thinned_but_no_point_is_far_from_one_tha
     angle = np.linspace(0, 2 * np.pi, 64, endpoint=False)
     ring = 0.0125 * np.column_stack([np.cos(angle), np.sin(angle), 0 * angle])
     cloud = np.vstack([ring, np.add(ring, [0, 0, 0.03])]) @ TURN.T + AWAY
-    kept = _thinned(cloud)
+    kept = _thinned(cloud, 0.2)
     assert len(kept) <= 80
     part = convex_part(kept)
     assert part is not None
     assert PartFaces.of([part]).height(cloud, 0).max() <= 1e-4
     flat = np.array([[x, y, 0.0] for x in range(11) for y in range(21)]) * 0.002
     wall = np.vstack([flat, np.add(flat, [0, 0, 0.001])])
-    kept = _thinned(wall)
+    kept = _thinned(wall, 0.2)
     assert np.linalg.norm(wall[:, None] - kept, axis=2).min(axis=1).max() <= 0.005
     assert len(kept) < len(wall) / 4
+
+
+def test_a_vehicle_gets_the_parts_of_a_cup_that_is_as_large():
+    large = replace(TEMPLATE, vertices=30 * TEMPLATE.vertices, parts=tuple(map(scaled, TEMPLATE.parts)))
+    there = deform_parts(large, 30 * tapered(CUP.vertices))
+    for one, other in zip(deform_parts(TEMPLATE, tapered(CUP.vertices)), there, strict=True):
+        np.testing.assert_allclose(30 * one.vertices, other.vertices, rtol=1e-6, atol=1e-6)
+    whole = trimesh.Trimesh(large.vertices, large.faces, process=False)
+    small = collision_of(completed(trimesh.Trimesh(CUP.vertices, CUP.faces, process=False), TEMPLATE))
+    found = collision_of(completed(whole, large))
+    assert found.made_by == small.made_by == "carried"
+    assert len(found.parts) == len(small.parts)
+    assert found.notes["ball_m"] == pytest.approx(30 * small.notes["ball_m"], rel=1e-6)  # pyright: ignore
+
+
+def scaled(part: ConvexPart) -> ConvexPart:
+    return ConvexPart(30 * part.vertices, part.faces)
 
 
 def test_the_order_of_merges_is_the_primitives_own_where_it_has_one():
@@ -174,7 +191,7 @@ def test_a_point_on_a_large_face_beside_many_small_ones_finds_its_own():
         np.vstack([plate.vertices, ball.vertices]), np.vstack([plate.faces, ball.faces + len(plate.vertices)])
     )
     places = np.array([[0.05, 0.045, 0.0], [0.05, 0.05, 0.015]])
-    feet, face = _on_surface(both, places)
+    feet, face = _on_surface(both, places, 0.2)
     np.testing.assert_allclose(feet, places, atol=2e-4)
     assert (face < 12).tolist() == [True, False]
 

@@ -46,7 +46,6 @@ PAST_FACES = {
     "bench -> train.gfpnet",
     "bench -> train.loop",
     "bench -> train.views",
-    "captures -> meshes.load",
     "cli -> train.classifier",
     "cli -> train.gfpnet",
     "cli -> train.pcrnet",

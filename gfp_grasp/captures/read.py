@@ -16,7 +16,7 @@ from gfp_grasp.camera import cloud_of, view_from_points
 from gfp_grasp.captures.capture import Capture
 from gfp_grasp.captures.pcd import parse_pcd
 from gfp_grasp.errors import GfpGraspError, InvalidCloud, InvalidView, UnreadableFile
-from gfp_grasp.meshes.load import LARGEST_BYTES, READER_ERRORS, read_content
+from gfp_grasp.meshes import LARGEST_BYTES, READER_ERRORS, read_content
 from gfp_grasp.transforms import apply_T
 from gfp_grasp.types import DepthImage
 

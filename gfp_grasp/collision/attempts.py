@@ -15,6 +15,7 @@ from gfp_grasp.collision.convex import convex_parts
 from gfp_grasp.collision.engines.guard import CancelSign, ChildLostError, run_guarded
 from gfp_grasp.collision.fidelity import union_error_m, volume_ratios
 from gfp_grasp.collision.levels import groups_of, merge_tree
+from gfp_grasp.collision.parts import diagonal_m
 from gfp_grasp.errors import Cancelled, DecompositionFailed
 from gfp_grasp.types import CollisionMesh
 
@@ -103,9 +104,8 @@ def _variation(solid: trimesh.Trimesh, config: DecomposeConfig, step: int) -> tu
         mode = "off"
     config = replace(config, preprocess_mode=mode)
     if step > 0:
-        diagonal = float(np.linalg.norm(np.ptp(vertices, axis=0)))
         rng = np.random.default_rng([config.seed, step])
-        vertices += rng.uniform(-1, 1, vertices.shape) * _JITTER * diagonal * step
+        vertices += rng.uniform(-1, 1, vertices.shape) * _JITTER * diagonal_m(vertices) * step
     if step > 1:
         threshold = config.threshold * 1.5 ** (step - 1)
         threshold = threshold if config.real_metric else min(threshold, 1.0)

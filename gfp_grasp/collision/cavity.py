@@ -6,10 +6,10 @@ import numpy as np
 import trimesh
 from scipy.spatial import ConvexHull, KDTree, QhullError
 
-from gfp_grasp.collision.parts import PartFaces, lengths
+from gfp_grasp.collision.parts import PartFaces, diagonal_m, lengths
 
 _DRAWN = 6000
-LEAST_BALL_M = 0.005  # what no larger ball fits into is a dent
+LEAST_BALL = 1 / 40  # of the diagonal, 5 mm of a mesh of 0.2 m: what no larger ball fits into is a dent
 _AROUND = 1.5  # vertices within this many radii hold the centre of a ball in place
 _HOLDERS = 64
 
@@ -19,10 +19,10 @@ def widest_gap(mesh: trimesh.Trimesh, *, seed: int = 0) -> np.ndarray | None:
 
     Args:
         mesh: Watertight, m.
-        seed: Of the places that are tried.
+        seed: Chooses the places that are tried.
 
     Returns:
-        None where there is no ball of 2 mm.
+        None where no ball has a radius of more than a fortieth of the mesh's diagonal.
     """
     rng = np.random.default_rng(seed)
     try:
@@ -30,7 +30,7 @@ def widest_gap(mesh: trimesh.Trimesh, *, seed: int = 0) -> np.ndarray | None:
     except QhullError:
         return None
     surface = KDTree(np.concatenate([mesh.vertices, mesh.triangles_center]))
-    best, radius = mesh.bounds.mean(axis=0), 0.0
+    best, radius, least = mesh.bounds.mean(axis=0), 0.0, LEAST_BALL * diagonal_m(mesh.vertices)
     low, high = mesh.bounds
     for _ in range(3):  # around the best place of those before
         places = rng.uniform(low, high, (_DRAWN, 3))
@@ -41,8 +41,8 @@ def widest_gap(mesh: trimesh.Trimesh, *, seed: int = 0) -> np.ndarray | None:
         if len(wider):
             first = wider[distance[wider].argmax()]
             best, radius = places[first], float(distance[first])
-        low, high = best - max(radius, LEAST_BALL_M), best + max(radius, LEAST_BALL_M)
-    return best if radius > LEAST_BALL_M else None
+        low, high = best - max(radius, least), best + max(radius, least)
+    return best if radius > least else None
 
 
 def barycentric_hold(point: np.ndarray, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -10,13 +10,13 @@ from weakref import WeakKeyDictionary
 import numpy as np
 import trimesh
 
-from gfp_grasp.collision.cavity import LEAST_BALL_M, ball_radii_m, barycentric_hold, widest_gap
+from gfp_grasp.collision.cavity import LEAST_BALL, ball_radii_m, barycentric_hold, widest_gap
 from gfp_grasp.collision.config import CollisionConfig, DecomposeConfig
 from gfp_grasp.collision.convex import convex_part
 from gfp_grasp.collision.decomposition import decompose, hull
 from gfp_grasp.collision.deformed import deform_parts, matching_primitive
 from gfp_grasp.collision.fidelity import union_error_m, volume_ratios
-from gfp_grasp.collision.parts import PartFaces, volume_m3
+from gfp_grasp.collision.parts import PartFaces, diagonal_m, volume_m3
 from gfp_grasp.errors import DecompositionFailed, InvalidMesh
 from gfp_grasp.types import CollisionMesh, CompletedShape, GenericPrimitive
 
@@ -27,8 +27,9 @@ _ERROR_LIMIT = 0.01
 _CLEARANCE_LEFT = 0.8
 # The hull of a convex mesh adds nothing but rounding to its volume.
 _CONVEX_EXCESS = 1e-3
-# Parts that bring the template's surface nearer by less than this, on average and for 95 %, are not worth their time.
-_NEXT_TO_NOTHING_M = np.array([1e-5, 1e-4])
+# Parts that bring the template's surface nearer by less than this share of its diagonal, on average and for 95 %, are
+# not worth their time; on a template of 0.2 m, these are 0.01 mm and 0.1 mm.
+_NEXT_TO_NOTHING = np.array([1 / 20_000, 1 / 2000])
 _SAMPLES = 300
 # Vertices and weights that hold the centre of the largest ball in a primitive; None where there is none.
 _gaps: WeakKeyDictionary[GenericPrimitive, tuple[np.ndarray, np.ndarray] | None] = WeakKeyDictionary()
@@ -103,10 +104,11 @@ def _levels(primitive: GenericPrimitive, vertices: np.ndarray, config: Collision
     if len(errors_m) != len(primitive.parts):
         return [most]
     if config.tolerance_m is None:
-        worse = np.flatnonzero((errors_m[:most] > errors_m[most - 1] + _NEXT_TO_NOTHING_M).any(axis=1))
+        enough_m = errors_m[most - 1] + _NEXT_TO_NOTHING * diagonal_m(primitive.vertices)
+        worse = np.flatnonzero((errors_m[:most] > enough_m).any(axis=1))
         return [int(worse[-1]) + 2 if len(worse) else 1]
     # What is larger than the template is off by more.
-    growth = float(np.linalg.norm(np.ptp(vertices, axis=0)) / np.linalg.norm(np.ptp(primitive.vertices, axis=0)))
+    growth = diagonal_m(vertices) / diagonal_m(primitive.vertices)
     enough = np.flatnonzero(errors_m[:most, 1] * growth <= config.tolerance_m)
     tried = [1 + int(enough[0])] if len(enough) else [most]
     while tried[-1] < most:
@@ -143,7 +145,7 @@ def _ball(primitive: GenericPrimitive, mesh: trimesh.Trimesh, faces: PartFaces) 
         return {}
     holders, weights = gap
     free, left = ball_radii_m(weights @ mesh.vertices[holders], mesh, faces)
-    return {"ball_m": free, "ball_left_m": left} if free > LEAST_BALL_M else {}
+    return {"ball_m": free, "ball_left_m": left} if free > LEAST_BALL * diagonal_m(primitive.vertices) else {}
 
 
 def _is_true(found: CollisionMesh, shape: CompletedShape, config: CollisionConfig) -> bool:
@@ -153,7 +155,7 @@ def _is_true(found: CollisionMesh, shape: CompletedShape, config: CollisionConfi
         return found.error_m[1] <= config.tolerance_m
     if found.made_by == "coacd" and shape.fit is None:  # nothing else was asked of it
         return True
-    return found.error_m[0] <= _ERROR_LIMIT * float(np.linalg.norm(np.ptp(shape.mesh.vertices, axis=0)))
+    return found.error_m[0] <= _ERROR_LIMIT * diagonal_m(shape.mesh.vertices)
 
 
 def _clearance(found: CollisionMesh) -> float:

@@ -18,17 +18,18 @@ from scipy.spatial import KDTree
 
 from gfp_grasp.collision.convex import convex_parts, needed_corners
 from gfp_grasp.collision.levels import groups_of, merge_tree
-from gfp_grasp.collision.parts import within_parts
+from gfp_grasp.collision.parts import diagonal_m, within_parts
 from gfp_grasp.errors import InvalidMesh, InvalidOption
 from gfp_grasp.types import ConvexPart, GenericPrimitive
 
+# Lengths are shares of the template's diagonal, which was about 0.2 m where they were chosen.
 # CoACD's arithmetic scatters points of the surface by about 1e-8 of the size; this is far above it and below any wall.
-_ON_SURFACE_M = 1e-6
+_ON_SURFACE = 1 / 200_000  # 0.001 mm
 _FEW = 12
-# Corners whose loss shrinks a part by less on the template can go, as every second around a bottle's neck; but so many
-# stay that none is farther than the spacing from one that stayed: a flat wall may bulge.
-_TOLERANCE_M = 1e-4
-_SPACING_M = 0.005
+# A corner can go where the part shrinks by less than the tolerance without it, as every second corner around a neck.
+# So many stay that none is farther than the spacing from one that stayed, because a flat wall may bulge.
+_TOLERANCE = 1 / 2000  # 0.1 mm
+_SPACING = 1 / 40  # 5 mm
 
 
 @dataclass(frozen=True, eq=False)
@@ -130,13 +131,14 @@ def matching_primitive(primitive: GenericPrimitive, num_vertices: int) -> Generi
 
 def _bind(primitive: GenericPrimitive, count: int) -> _Binding:
     template = trimesh.Trimesh(primitive.vertices, primitive.faces, process=False)
-    owned = within_parts(primitive.vertices, primitive.parts, margin_m=_ON_SURFACE_M)
+    size_m = diagonal_m(primitive.vertices)
+    owned = within_parts(primitive.vertices, primitive.parts, margin_m=_ON_SURFACE * size_m)
     clouds = []
     for group in _groups(primitive, count):
         own = primitive.vertices[owned[:, group].any(axis=1)]
-        clouds.append(_thinned(np.concatenate([*(primitive.parts[i].vertices for i in group), own])))
+        clouds.append(_thinned(np.concatenate([*(primitive.parts[i].vertices for i in group), own]), size_m))
     points = np.concatenate(clouds)
-    feet, face = _on_surface(template, points)
+    feet, face = _on_surface(template, points, size_m)
     corners = primitive.faces[face]
     triangles = primitive.vertices[corners]
     barycentric = _barycentric(triangles, feet)
@@ -147,17 +149,18 @@ def _bind(primitive: GenericPrimitive, count: int) -> _Binding:
     return _Binding(weights, corners, height, edge, np.cumsum([len(cloud) for cloud in clouds]))
 
 
-def _thinned(cloud: np.ndarray) -> np.ndarray:
-    kept = needed_corners(cloud, _TOLERANCE_M)
+def _thinned(cloud: np.ndarray, size_m: float) -> np.ndarray:
+    """Those of the points (n, 3) m that a part of a template of this size needs."""
+    kept = needed_corners(cloud, _TOLERANCE * size_m)
     lonely = np.linalg.norm(cloud[:, None] - cloud[kept], axis=2).min(axis=1)
-    while lonely.max() > _SPACING_M:
+    while lonely.max() > _SPACING * size_m:
         kept = np.append(kept, lonely.argmax())
         lonely = np.minimum(lonely, np.linalg.norm(cloud - cloud[kept[-1]], axis=1))
     return cloud[kept]
 
 
-def _on_surface(template: trimesh.Trimesh, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Nearest places (n, 3) on a mesh and their faces (n,): of most points, which lie on it, among a few near faces."""
+def _on_surface(template: trimesh.Trimesh, points: np.ndarray, size_m: float) -> tuple[np.ndarray, np.ndarray]:
+    """Nearest places (n, 3) on a mesh, and their faces (n,). Most points lie on it: a few near faces are searched."""
     triangles = np.asarray(template.triangles)
     near = KDTree(triangles.mean(axis=1)).query(points, k=min(_FEW, len(triangles)))[1].reshape(len(points), -1)
     feet = trimesh.triangles.closest_point(triangles[near.ravel()], np.repeat(points, near.shape[1], axis=0))
@@ -165,7 +168,7 @@ def _on_surface(template: trimesh.Trimesh, points: np.ndarray) -> tuple[np.ndarr
     distance = np.linalg.norm(feet - points[:, None], axis=2)
     best, rows = distance.argmin(axis=1), np.arange(len(points))
     feet, face = feet[rows, best], near[rows, best]
-    off = np.flatnonzero(distance[rows, best] > _ON_SURFACE_M)
+    off = np.flatnonzero(distance[rows, best] > _ON_SURFACE * size_m)
     if len(off):
         feet[off], _, face[off] = trimesh.proximity.closest_point(template, points[off])
     return feet, face

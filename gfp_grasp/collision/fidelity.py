@@ -10,7 +10,7 @@ import numpy as np
 import trimesh
 from scipy.spatial import KDTree
 
-from gfp_grasp.collision.parts import PartFaces, area_vectors, lengths, six_volumes
+from gfp_grasp.collision.parts import PartFaces, area_vectors, diagonal_m, lengths, six_volumes
 from gfp_grasp.types import ConvexPart
 
 # Faces on which two parts meet are no surface of the union. They are told by a step outward that lands in the
@@ -41,7 +41,7 @@ def union_error_m(
     Returns:
         Mean, 95 % and largest distance, m, over both directions with equal weight.
     """
-    step = _STEP * float(np.linalg.norm(np.ptp(mesh.vertices, axis=0)))
+    step = _STEP * diagonal_m(mesh.vertices)
     faces = parts if isinstance(parts, PartFaces) else PartFaces.of(parts)
     num = max(2 * count, _LEAST_ANCHORS)
     anchors, triangle = _anchors(faces.triangles, faces.areas_m2, num, rng)

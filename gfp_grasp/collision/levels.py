@@ -12,6 +12,7 @@ from scipy.spatial import ConvexHull, QhullError
 
 from gfp_grasp.collision.convex import convex_part, convex_parts
 from gfp_grasp.collision.fidelity import union_error_m
+from gfp_grasp.collision.parts import diagonal_m
 from gfp_grasp.types import ConvexPart
 
 # Parts whose boxes are farther apart than this share of the whole meet only when nothing else is left to merge.
@@ -64,7 +65,7 @@ def merge_tree(parts: Sequence[ConvexPart]) -> np.ndarray:
     if not clouds:
         return np.zeros((0, 2), dtype=np.int64)
     everything = np.concatenate(list(clouds.values()))
-    apart_m = _APART * float(np.linalg.norm(np.ptp(everything, axis=0)))
+    apart_m = _APART * diagonal_m(everything)
     boxes = {i: (cloud.min(axis=0), cloud.max(axis=0)) for i, cloud in clouds.items()}
     queue: list[tuple[bool, float, int, int]] = []
 

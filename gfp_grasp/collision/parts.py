@@ -154,6 +154,11 @@ def parts_from_arrays(arrays: Mapping[str, np.ndarray], *, prefix: str = "part_"
     return tuple(map(ConvexPart, np.split(vertices, ends[:, 0]), np.split(faces, ends[:, 1])))
 
 
+def diagonal_m(points: np.ndarray) -> float:
+    """Diagonal of the box around points (n, 3) m along the axes: the size that lengths are shares of."""
+    return float(np.linalg.norm(np.ptp(points, axis=0)))
+
+
 def six_volumes(corners: np.ndarray) -> np.ndarray:
     """Determinants (n,) of (n, 3, 3): six times the volume of the tetrahedron over the origin."""
     return np.einsum("ni,ni->n", corners[:, 0], cross(corners[:, 1], corners[:, 2]))

@@ -2,11 +2,21 @@
 
 from gfp_grasp.meshes.crossing import crossing_faces
 from gfp_grasp.meshes.laplacian import graph_laplacian, neighbour_average
-from gfp_grasp.meshes.load import SUFFIXES, check_mesh, every_suffix, load_mesh
+from gfp_grasp.meshes.load import (
+    LARGEST_BYTES,
+    READER_ERRORS,
+    SUFFIXES,
+    check_mesh,
+    every_suffix,
+    load_mesh,
+    read_content,
+)
 from gfp_grasp.meshes.solid import make_solid
 from gfp_grasp.meshes.surface import sample_surface, vertex_normals
 
 __all__ = [
+    "LARGEST_BYTES",
+    "READER_ERRORS",
     "SUFFIXES",
     "check_mesh",
     "crossing_faces",
@@ -15,6 +25,7 @@ __all__ = [
     "load_mesh",
     "make_solid",
     "neighbour_average",
+    "read_content",
     "sample_surface",
     "vertex_normals",
 ]

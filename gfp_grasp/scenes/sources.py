@@ -155,7 +155,7 @@ def _folder_sources(folder: Path) -> tuple[ObjectSource, ...]:
     files = sorted(file for file in folder.iterdir() if file.is_file() and file.suffix.lower() in SUFFIXES)
     if not files:
         raise UnreadableFile(
-            f"{folder} holds no mesh: files with a suffix of {', '.join(SUFFIXES)} are looked for, subfolders are not"
+            f"{folder} holds no mesh: files that end in {', '.join(SUFFIXES)} are looked for, subfolders are not"
         )
     sources = tuple(_file_source(file) for file in files)
     if len({source.name for source in sources}) < len(sources):  # a.ply beside a.obj
