@@ -131,7 +131,7 @@ def test_neither_a_convex_wedge_nor_a_dent_has_room():
     assert wedge is not None
     fine = wedge.to_trimesh().subdivide().subdivide().subdivide()
     assert widest_gap(fine) is None
-    for depth, has_room in ((0.004, False), (0.012, True)):
+    for depth, has_room in ((0.0032, False), (0.0045, True)):
         groove = trimesh.creation.cylinder(depth, 0.3, sections=24)
         block = trimesh.creation.box(bounds=[[0, -0.05, -0.05], [0.05, 0.05, 0.05]])
         dented = trimesh.boolean.difference([block, groove])
