@@ -117,6 +117,20 @@ def test_from_above_a_block_is_taken_across_its_narrow_side():
     assert all(other.quality < best.quality for other in others)
 
 
+def test_from_above_the_gripper_comes_over_the_middle_of_what_was_seen_in_any_frame():
+    """A block off the origin, turned, on a slanted support: seen to 40 mm of its narrow side."""
+    T = make_T(rotation_about((1, 2, 0.5), 0.6), (0.3, -0.2, 0.1))
+    block = trimesh.creation.box(bounds=[[0.01, 0.05, 0], [0.13, 0.09, 0.1]])
+    block = block.subdivide().subdivide().apply_transform(T)
+    support = SupportPlane(T[:3, 2], float(T[:3, 2] @ T[:3, 3]))
+    best = plan_top_down(completion_of(block, support=support, up=T[:3, 2]), 1)[0]
+    found = np.linalg.inv(T) @ best.T_world_gripper
+    np.testing.assert_allclose(found[:3, 3], (0.07, 0.07, 0.08), atol=1e-3)
+    np.testing.assert_allclose(np.abs(found[:3, 1]), (0, 1, 0), atol=1e-6)
+    np.testing.assert_allclose(found[:3, 2], (0, 0, -1), atol=1e-9)
+    assert best.quality == pytest.approx(1 - 0.04 / 0.08, abs=0.01)
+
+
 def test_from_above_nothing_is_taken_that_is_wider_than_the_jaws_and_no_pad_meets_the_table():
     assert plan_top_down(completion_of(cup())) == ()
     low = cylinder(height_m=0.01)

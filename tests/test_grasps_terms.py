@@ -260,6 +260,25 @@ def test_closing_lines_end_on_the_mesh_within_the_cone_of_both_normals(friction)
         assert cosine.min() < 1 / np.hypot(1, friction) + 0.1  # the cone is used to its edge
 
 
+def test_a_line_has_to_lie_in_the_cones_of_both_ends():
+    """One upright face, and one that leans by 20 degrees: no line is within 6 degrees of both normals."""
+    profile = [(-0.02, 0), (0.02 + np.tan(np.deg2rad(20)) * 0.1, 0), (0.02, 0.1), (-0.02, 0.1)]
+    mesh = trimesh.creation.extrude_polygon(trimesh.path.polygons.Polygon(profile), 0.2)
+    mesh.apply_transform(make_T(rotation_about((1, 0, 0), np.pi / 2)))
+    for friction, found in ((0.1, False), (0.3, True)):
+        config = GraspConfig(friction=friction)
+        start, end = cast_closing_lines(mesh, UP, config=config, rng=np.random.default_rng(0))
+        across = np.abs((end - start)[:, 0]) > 0.03
+        assert across.any() == found
+
+
+@pytest.mark.parametrize(("thickness_m", "found"), [(0.0004, False), (0.0006, True)])
+def test_a_sheet_is_pinched_from_half_a_millimetre_on(thickness_m, found):
+    sheet = trimesh.creation.box((0.1, thickness_m, 0.1))
+    start, _ = cast_closing_lines(sheet, UP, config=GraspConfig(friction=0.1), rng=np.random.default_rng(0))
+    assert bool(len(start)) == found
+
+
 def test_slanted_faces_of_a_wedge_are_met_by_level_lines():
     start, end = cast_closing_lines(wedge(), UP, config=GraspConfig(), rng=np.random.default_rng(0))
     slope = np.abs((end - start)[:, 2]) / np.linalg.norm(end - start, axis=1)
@@ -275,7 +294,8 @@ def test_every_wall_that_a_ray_leaves_is_an_end_of_a_closing_line():
     length = np.linalg.norm(end - start, axis=1)
     thin, whole = np.abs(length - 0.003) < 2e-4, np.abs(length - 0.05) < 1e-3
     assert thin.mean() > 0.2
-    assert whole.mean() > 0.2
+    across_the_hollow = whole & (np.abs((start + end)[:, :2] / 2).max(axis=1) < 0.02)
+    assert across_the_hollow.mean() > 0.1
     assert (thin | whole | (np.abs(length - 0.047) < 1e-3)).all()
 
 
@@ -554,6 +574,28 @@ def test_poses_are_centred_between_the_first_touches_and_drop_what_is_too_wide()
         plan._close_on(plan._Poses(DOWN[None], np.array([0.07]), np.array([True])), wide, GraspConfig())[1].low_m
     )
     assert plan._opening(np.array([0.04, 0.065]), GraspConfig()) == pytest.approx([0.06, 0.08])
+
+
+def test_a_grasp_is_a_duplicate_by_its_place_its_closing_axis_and_its_approach_together():
+    first = DOWN
+
+    def turned(about, degrees, shift=(0, 0, 0)):
+        return make_T(rotation_about(first[:3, about], np.deg2rad(degrees)) @ first[:3, :3], first[:3, 3] + shift)
+
+    others = {
+        "nearby": (turned(0, 0, (0.007, 0, 0)), True),
+        "farther": (turned(0, 0, (0, 0.009, 0)), False),
+        "turned about its approach by 14": (turned(2, 14), True),
+        "turned about its approach by 16": (turned(2, 16), False),
+        "turned about its closing axis by 24": (turned(1, 24), True),
+        "turned about its closing axis by 26": (turned(1, 26), False),
+        "jaws swapped": (turned(2, 180), True),
+        "from the other side": (turned(1, 180), False),
+    }
+    for name, (T, is_duplicate) in others.items():
+        chosen = plan._distinct(np.stack([T, first]), np.array([1, 0]), 2)
+        assert chosen == ([1] if is_duplicate else [1, 0]), name
+    assert plan._distinct(np.stack([DOWN, LEVEL]), np.array([1, 0]), 1) == [1]
 
 
 def test_near_duplicates_of_a_better_grasp_are_left_out():

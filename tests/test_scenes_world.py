@@ -140,6 +140,7 @@ def test_a_saved_world_holds_its_objects_where_they_rest(tmp_path):
     world.settle({"one": T})
     at_rest = world.pose("one")
     world.data.qpos[:3] = 9.0
+    mujoco.mj_forward(world.model, world.data)
     world.save(tmp_path / "scene.xml")
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "scene.xml"))
     np.testing.assert_allclose(model.body("one").pos, at_rest[:3, 3], atol=1e-6)
@@ -160,6 +161,14 @@ def test_parts_of_the_world_frame_are_lifted_out_of_the_table_and_not_put_down(h
         np.testing.assert_allclose(stands, before.vertices + shift + (0, 0, lifted_m), atol=1e-12)
     with pytest.raises(InvalidScene, match="no convex parts"):
         SceneObject.of_parts((), 0.2, 0.6)
+
+
+def test_an_object_may_be_without_friction_and_not_below_it():
+    assert block().friction == 0.5
+    assert replace(block(), friction=0.0).friction == 0.0
+    for wrong in ({"friction": -1e-9}, {"mass_kg": np.inf}, {"T_world_object": np.diag([1.0, 1, 1.001, 1])}):
+        with pytest.raises(InvalidScene, match="block"):
+            replace(block(), **wrong)
 
 
 # Building

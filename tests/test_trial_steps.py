@@ -159,6 +159,15 @@ def test_a_trial_starts_from_the_world_s_own_state_whatever_was_before(world):
     assert run_trial(world, grasp, QUICK) == first
 
 
+def test_a_lift_that_is_no_number_is_told_as_none(world):
+    one = trial_on(world)
+    put(world, make_T(one.T_target_start[:3, :3], one.T_target_start[:3, 3] + (0, 0, 0.07)))
+    assert one.lift_m() == pytest.approx(0.07)
+    world.data.xpos[world.model.body(TARGET).id] = np.nan
+    assert one.lift_m() == 0.0
+    world.restore()
+
+
 # Judgements
 
 
