@@ -171,13 +171,16 @@ def test_a_detector_of_the_user_s_own_sees_for_the_task(folder):
 
 
 def test_the_mask_of_the_object_is_what_the_rays_hit_of_it_and_nothing_beyond(folder):
-    task = task_of(folder, sensor="ideal", distance_m=0.9)
+    task = task_of(folder, sensor="ideal", distance_m=0.9, elevation_min_deg=5.0, elevation_max_deg=8.0)
     episode = task.draw(np.random.default_rng(1))
     world = task.world()
     assert world is not None
     rng = np.random.default_rng(2)
     image, is_target = episode_module._look(world, episode.truth, task.config, rng)
     seen = is_target & (image.depth_m > 0)
+    assert seen.any()
+    assert (image.depth_m == 0).any()
+    assert not is_target[image.depth_m == 0].any()
     rays = np.linalg.inv(image.K) @ np.stack([*np.nonzero(seen)[::-1], np.ones(seen.sum())]).astype(float)
     points = apply_T(image.T_world_camera, (rays * image.depth_m[seen]).T)
     low, high = episode.true_mesh().bounds

@@ -63,7 +63,6 @@ NAME_CLASSES = {
     "cli/show.py",
     "complete.py",
     "deform/gfpnet.py",
-    "envs/config.py",
     "examples/learn.py",
     "train/classifier.py",
     "train/classifier_data.py",

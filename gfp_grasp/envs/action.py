@@ -31,7 +31,7 @@ class ActionCode:
 
     Attributes:
         centre_m: Centre of the workspace box, world frame.
-        half_m: Its half extents.
+        half_m: Half extents of the box.
         max_width_m: Opening at +1; wider than the gripper's stroke, so that an unreachable width can be asked for.
     """
 

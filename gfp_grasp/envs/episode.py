@@ -57,7 +57,7 @@ class Episode:
 
     Attributes:
         truth: The object.
-        randomisation: Its mass and friction, and the force of the jaws.
+        randomisation: Mass and friction of the object, and force of the jaws.
         T_world_object: Where it came to rest.
         image: The depth picture, with the sensor's noise.
         detection: What was found in it; None where nothing was.
@@ -95,7 +95,7 @@ def draw_episode(
 
     Args:
         truth: The object.
-        world: Its compiled scene, which is left settled.
+        world: Compiled scene with the object, which is left settled.
         detect: The detector.
         complete: The completer.
         config: Camera and placing.

@@ -32,7 +32,7 @@ def shade(
 
     Args:
         model: The scene.
-        data: Its state.
+        data: State of the scene.
         width: Columns.
         height: Rows.
         T_world_camera: (4, 4), OpenCV camera.

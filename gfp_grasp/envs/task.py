@@ -33,8 +33,8 @@ class GraspTask:
     """Objects, a camera, a completer and a gripper: what `GfpGraspEnv` and a score have in common.
 
     Attributes:
-        config: Its options.
-        settings: Numbers of its trials; each episode has a grip of its own.
+        config: Options of the task.
+        settings: Numbers of the trials; each episode has a grip of its own.
         sources: The objects that episodes are about.
         num_kept: Compiled scenes are kept for this many objects, at up to 10 MB each; making one takes 0.2 s.
     """
@@ -44,8 +44,8 @@ class GraspTask:
 
         Args:
             config: Options.
-            settings: Numbers of its trials.
-            num_kept: Of how many objects the compiled scenes are kept.
+            settings: Numbers of the trials.
+            num_kept: Number of objects whose compiled scenes are kept.
 
         Raises:
             InvalidOption: There are no such objects.

@@ -33,7 +33,7 @@ class Handles:
 
     Attributes:
         model: The scene.
-        data: Its state, which moves on.
+        data: State of the scene, which moves on.
         target: Body id of the object.
         gripper: Body id of the gripper.
         mocap: Index of the mocap body that it hangs on.

@@ -27,7 +27,7 @@ class World:
 
     Attributes:
         model: The scene.
-        data: Its state.
+        data: State of the scene.
         objects: What was put into it, as it was given.
     """
 
