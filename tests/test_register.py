@@ -1,6 +1,7 @@
 import numpy as np
 import pytest
 import trimesh
+from toy_car import car_primitive, scanned
 from toy_primitive import random_cup, see, toy_cup_primitive
 
 from gfp_grasp.clouds import estimate_normals, thin
@@ -10,7 +11,7 @@ from gfp_grasp.meshes import sample_surface
 from gfp_grasp.metrics import chamfer_m
 from gfp_grasp.register import FitConfig, RefineConfig, fit_primitive, icp_config, pcrnet_config
 from gfp_grasp.transforms import apply_T, make_T, rotation_about
-from gfp_grasp.types import Detection, OrientedBox, PointCloud, SupportPlane
+from gfp_grasp.types import LIDAR, Detection, OrientedBox, PointCloud, SupportPlane
 
 BOX = FitConfig(start="box")
 
@@ -159,3 +160,34 @@ def test_space_seen_free_pushes_back_what_stands_in_it():
     assert index.tolist() == [1]
     # The way back leads to the object's silhouette.
     assert np.linalg.norm(outside + back[0] - centre) < 0.08
+
+
+def test_cars_that_a_lidar_sees_from_fifteen_metres_are_registered():
+    primitive, rng, errors = car_primitive(), np.random.default_rng(5), []
+    for seed in range(4):
+        coefficients, scale = rng.uniform(-1.5, 1.5, 2), np.exp(rng.normal(scale=[0.1, 0.05, 0.06]))
+        mesh = trimesh.Trimesh(primitive.shape(coefficients, scale), primitive.faces, process=False)
+        bearing = rng.uniform(-3, 3)
+        T = make_T(rotation_about((0, 0, 1), 1.1 * seed), (15 * np.cos(bearing), 15 * np.sin(bearing), 0.0))
+        cloud, _ = scanned(mesh, T, seed=seed)
+        truth = apply_T(T, mesh.vertices)
+        box = OrientedBox(make_T(None, truth.mean(axis=0)), np.ptp(truth, axis=0))
+        detection = Detection(
+            cloud=PointCloud(cloud.points[::3], cloud.viewpoint),
+            up=np.array([0.0, 0.0, 1.0]),
+            support=SupportPlane(np.array([0.0, 0.0, 1.0]), 0.0),
+            category="toy_car",
+            scores={},
+            box=box,
+            sensor=LIDAR,
+            sensor_sigma_m=LIDAR.sigma_m,
+        )
+        assert 150 < len(detection.cloud.points) < 600
+        fit = fit_primitive(detection, primitive)
+        assert fit.hypothesis == "upright"
+        assert fit.residual_m < 0.02  # as large as the noise of the ranges
+        # Vertices correspond: a car that is turned end for end, or stands on its side, is metres away.
+        errors.append(np.linalg.norm(fit.vertices_world() - truth, axis=1).mean())
+    # From behind or in front nothing is seen of how long a car is: the length of its class may be far off.
+    assert np.median(errors) < 0.08
+    assert np.max(errors) < 0.3

@@ -317,11 +317,14 @@ def _facing_plate(flat: np.ndarray):
 
 def test_a_straight_edge_is_one_only_where_nothing_lies_beyond_it():
     flat = np.random.default_rng(5).uniform(-0.06, 0.06, (20000, 2))
-    flat = flat[np.hypot(*flat.T) < 0.06]
+    square, flat = flat, flat[np.hypot(*flat.T) < 0.06]
     segment, axes = _facing_plate(flat[flat[:, 0] < 0.03])
     cut = cut_off(segment).cut
     assert cut is not None
     assert cut @ axes[:, 0] > 0.99
+    # An edge that is short beside the outline may be the plate's own: here the end of an arm of a cross.
+    cross, _ = _facing_plate(square[np.abs(square).min(axis=1) < 0.012])
+    assert cut_off(cross).cut is None
     # The sides of a slot are straight and face the viewpoint, but the plate goes on beyond them.
     slotted, _ = _facing_plate(flat[(np.abs(flat[:, 0]) > 0.012) | (flat[:, 1] < -0.04)])
     assert cut_off(slotted).cut is None

@@ -65,16 +65,16 @@ def test_what_the_class_says_worse_than_its_kind_is_the_kinds():
     assert fit_best(evidence, [(cup, 0.0), (stemmed, 1e6)]).primitive is cup
 
 
-@pytest.mark.parametrize("ellipticity_m", [None, 0.001])
-def test_the_gradient_of_the_priors_is_that_of_the_cost(ellipticity_m):
+@pytest.mark.parametrize("ellipticity", [None, 0.001])
+def test_the_gradient_of_the_priors_is_that_of_the_cost(ellipticity):
     primitive, evidence = load_primitive("bottle"), make_level_view(_detection("bottle"))
     # Without points and free space, whose correspondences jump, the cost is smooth.
-    config = RefineConfig(effective_points=1e-9, free_space=False, support=False, ellipticity_m=ellipticity_m)
+    config = RefineConfig(effective_points=1e-9, free_space=False, support=False, ellipticity=ellipticity)
     state = replace(
         make_starts(primitive, evidence, ("upright",))[0], coefficients=np.linspace(-1, 1, len(primitive.modes))
     )
     model = shape_model(primitive, config.num_samples, config.num_modes)
-    every, terms = model.num_modes, make_terms(evidence, config)
+    every, terms = model.num_modes, make_terms(evidence, config, 1.0)
 
     def cost(changed) -> float:
         return float(evaluate_costs(StateBatch.of([changed], every), model, terms, 0.003)[0][0])

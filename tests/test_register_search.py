@@ -15,19 +15,28 @@ from gfp_grasp.camera import cast_rays
 from gfp_grasp.errors import FitDiverged
 from gfp_grasp.level import guessed_silhouette
 from gfp_grasp.meshes import sample_surface
-from gfp_grasp.register import FitConfig, RefineConfig, fit_best, icp_config, pcrnet, pcrnet_config, pruning
+from gfp_grasp.register import (
+    FitConfig,
+    RefineConfig,
+    fit_best,
+    icp_config,
+    pcrnet,
+    pcrnet_config,
+    primitive_size_m,
+    pruning,
+)
 from gfp_grasp.register import fit as fit_module
 from gfp_grasp.register.occlusion import blocking_cost, truncation_cost
 from gfp_grasp.register.pruning import Search, distinct_leaders, search_starts, total_cost, within_margin
-from gfp_grasp.register.starts import make_starts
+from gfp_grasp.register.starts import _complete_ends, _cosine_in_picture, make_starts
 from gfp_grasp.transforms import rotation_about, rotation_between
-from gfp_grasp.types import TABLETOP, Symmetry
+from gfp_grasp.types import TABLETOP, PointCloud, Symmetry
 
-QUICK = RefineConfig(steps=(0.02, 0.015, 0.01, 0.008), num_points=100, num_samples=300)
+QUICK = RefineConfig(steps=(0.2, 0.15, 0.1, 0.08), num_points=100, num_samples=300)
 LIGHT = FitConfig(
     quick=QUICK,
-    middle=replace(QUICK, steps=(0.008, 0.006, 0.005)),
-    thorough=replace(QUICK, steps=(0.004, 0.003), num_points=200),
+    middle=replace(QUICK, steps=(0.08, 0.06, 0.05)),
+    thorough=replace(QUICK, steps=(0.04, 0.03), num_points=200),
     num_kept=2,
     roundness=False,
 )
@@ -183,8 +192,6 @@ def test_an_end_that_is_hidden_goes_on_to_the_proportions_of_the_primitive(up, a
     own_height, own_width = 2.0, 2.5 if up and across and abs(up) > 0.5 and abs(across) > 0.5 else 1.0
     if abs(across) > 0.5 and abs(up) < 0.5:
         own_height, own_width = 0.8, 1.0
-    from gfp_grasp.register.starts import _complete_ends
-
     found = _complete_ends((0.0, 1.0), own_height, up, (-0.5, 0.5), own_width, across)
     assert found[0] == pytest.approx(height)
     assert found[1] == pytest.approx(width)
@@ -220,7 +227,7 @@ def _off_points(state, viewpoint, depths_m):
 
 
 def test_a_surface_pays_for_each_point_that_it_hides():
-    state, config = wedge_state(), RefineConfig(steps=(0.01, 0.005), misfit_m=0.002, effective_points=70)
+    state, config = wedge_state(), RefineConfig(unit_m=0.1, steps=(0.1, 0.05), misfit=0.02, effective_points=70)
     viewpoint = state.t + np.array([0.5, -0.4, 0.6])
     depths = np.repeat([0.0, -0.05, 0.008, 0.02], [10, 10, 10, 20])
     evidence = toy_evidence(_off_points(state, viewpoint, depths), viewpoint=viewpoint)
@@ -268,7 +275,7 @@ def test_leaders_are_no_place_twice_and_hold_the_best_of_every_hypothesis():
     lying = replace(base, cost=7.0, hypothesis="lying")
     states = [base, here, there, turned, flipped, worse, lying]
     for keep, costs in ((1, [1, 5, 7]), (2, [1, 3, 5, 7]), (3, [1, 3, 4, 5, 7]), (9, [1, 3, 4, 5, 6, 7])):
-        assert sorted(state.cost for state in distinct_leaders(states, keep)) == costs
+        assert sorted(state.cost for state in distinct_leaders(states, keep, 0.1)) == costs
 
 
 def test_a_rival_goes_on_while_it_is_no_farther_behind_than_it_may_be():
@@ -377,9 +384,77 @@ def test_a_size_given_is_that_of_every_start_and_no_refinement_leaves_it():
 
 def test_points_that_no_start_explains_diverge_by_the_name_of_the_class_and_the_miss():
     _, evidence = _half_seen_wedge()
-    config = replace(LIGHT, max_residual_m=1e-6, hypotheses=("upright",))
+    config = replace(LIGHT, max_residual=1e-5, hypotheses=("upright",))
     with pytest.raises(FitDiverged, match=r"wedge: .* \d\.\d mm, 0 mm is allowed"):
         fit_best(evidence, [(wedge_primitive(), 0.0)], config=config)
+
+
+def _enlarged(view, factor: float):
+    """Everything that a view of a wedge says, at another scale."""
+    return replace(
+        view,
+        cloud=PointCloud(view.cloud.points * factor, view.viewpoint * factor),
+        points=view.points * factor,
+        floor_m=view.floor_m * factor,
+        floor_sigma_m=(view.floor_sigma_m[0] * factor, view.floor_sigma_m[1] * factor),
+        sigma_m=view.sigma_m * factor,
+    )
+
+
+def test_an_object_a_hundred_times_as_large_is_fitted_as_well():
+    _, evidence = _half_seen_wedge()
+    wedge = wedge_primitive()
+    huge = replace(wedge, vertices=wedge.vertices * 100, modes=wedge.modes * 100)
+    config = replace(LIGHT, roundness=True)
+    small, large = (
+        fit_best(view, [(primitive, 0.0)], config=config)
+        for view, primitive in ((evidence, wedge), (_enlarged(evidence, 100), huge))
+    )
+    assert large.vertices_world() / 100 == pytest.approx(small.vertices_world(), abs=1e-5)
+    assert large.residual_m / 100 == pytest.approx(small.residual_m, rel=1e-2)
+    assert large.cost == pytest.approx(small.cost, rel=1e-3)
+    assert large.margin == pytest.approx(small.margin, rel=1e-2)
+
+
+def test_costs_of_rivals_are_in_one_unit_which_a_rival_of_unusual_size_does_not_change(monkeypatch):
+    _, evidence = _half_seen_wedge()
+    wedge = wedge_primitive()
+    size_m = primitive_size_m(wedge)
+    assert size_m == pytest.approx(float(np.cbrt(np.ptp(wedge.vertices, axis=0).prod())))
+    plate = replace(wedge, vertices=wedge.vertices * (1, 1, 1e-6))
+    extents = np.ptp(plate.vertices, axis=0)
+    assert primitive_size_m(plate) == pytest.approx(
+        float(np.cbrt(0.1 * extents[0] * extents[1] * np.hypot(*extents[:2])))
+    )
+    units = []
+
+    def searched(evidence, candidates, config):
+        units.extend(getattr(config, name).unit_m for name in ("quick", "middle", "thorough"))
+        return Search(wedge, 0.0, [wedge_state(cost=1.0)])
+
+    monkeypatch.setattr(fit_module, "search_starts", searched)
+    larger = [replace(wedge, vertices=wedge.vertices * factor) for factor in (1.1, 5.0)]
+    fit_best(evidence, [(primitive, 0.0) for primitive in (wedge, *larger)], config=LIGHT)
+    assert units == pytest.approx([1.1 * size_m] * 3)
+
+
+def test_what_a_surface_hides_and_where_it_ends_counts_in_the_end(monkeypatch):
+    _, evidence = _half_seen_wedge()
+    costs = []
+    for blocking, truncation in ((0.0, 0.0), (3.0, 0.0), (3.0, 7.0)):
+        monkeypatch.setattr(pruning, "blocking_cost", lambda *_, blocking=blocking: blocking)
+        monkeypatch.setattr(pruning, "truncation_cost", lambda *_, truncation=truncation: truncation)
+        config = replace(LIGHT, hypotheses=("upright",))
+        costs.append(search_starts(evidence, [(wedge_primitive(), 0.0)], config).cost)
+    assert np.diff(costs) == pytest.approx([3.0, 7.0])
+
+
+def test_a_direction_is_compared_with_the_cut_as_it_is_seen():
+    points = np.random.default_rng(0).normal(scale=0.01, size=(50, 3))
+    points -= points.mean(axis=0)
+    evidence = toy_evidence(points, viewpoint=np.array([2.0, 0, 0]), cut=np.array([0.0, 0.6, 0.8]))
+    for direction, cosine in (((0.8, 0.6, 0.0), 0.6), ((-0.8, 0.6, 0.0), 0.6), ((0.6, 0.0, -0.8), -0.8)):
+        assert _cosine_in_picture(evidence, np.array(direction)) == pytest.approx(cosine)
 
 
 # ---- what is asked in the end

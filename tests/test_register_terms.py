@@ -33,19 +33,25 @@ from gfp_grasp.transforms import rotation_about, rotation_between
 from gfp_grasp.types import INSIDE, OUTSIDE
 
 ROBUST_M = 0.004
-# The points weigh nothing, and neither do free space and floor: what remains are the priors.
-PRIORS = RefineConfig(effective_points=1e-15, free_space=False, support=False, num_samples=NUM_SAMPLES, scale_slack=1.7)
+# The points weigh nothing, and neither do free space and floor: what remains are the priors. Lengths are in metres.
+PRIORS = RefineConfig(
+    unit_m=1.0, effective_points=1e-15, free_space=False, support=False, num_samples=NUM_SAMPLES, scale_slack=1.7
+)
 
 
 def _cost(state, evidence, config) -> float:
     primitive = wedge_primitive()
     model = shape_model(primitive, NUM_SAMPLES, NUM_MODES)
-    return float(evaluate_costs(StateBatch.of([state], NUM_MODES), model, make_terms(evidence, config), ROBUST_M)[0][0])
+    return float(
+        evaluate_costs(StateBatch.of([state], NUM_MODES), model, make_terms(evidence, config, config.unit_m), ROBUST_M)[
+            0
+        ][0]
+    )
 
 
 def _normal_equations(state, evidence, config) -> tuple[np.ndarray, np.ndarray]:
     model = shape_model(wedge_primitive(), NUM_SAMPLES, NUM_MODES)
-    H, g = linearise(StateBatch.of([state], NUM_MODES), model, make_terms(evidence, config), ROBUST_M)
+    H, g = linearise(StateBatch.of([state], NUM_MODES), model, make_terms(evidence, config, config.unit_m), ROBUST_M)
     return H[0], g[0]
 
 
@@ -63,7 +69,7 @@ def _jacobian(state) -> np.ndarray:
 
 
 TOWARD = wedge_state().R @ np.array([0.5, 0.4, 0.768])  # three faces are seen from there
-POINTS = replace(PRIORS, effective_points=150.0, misfit_m=0.0009, tangential=0.2)
+POINTS = replace(PRIORS, effective_points=150.0, misfit=0.0009, tangential=0.2)
 
 
 def _seen_points():
@@ -183,7 +189,9 @@ def test_a_normal_agrees_within_sixty_degrees(angle_deg, agrees, oriented):
     )
     evidence = toy_evidence(world[index], turned if oriented else -turned, oriented=oriented)
     seen = with_viewpoint(evidence, state.t + 5 * normals[0]) if oriented else evidence
-    cost, _, _ = _term(state, seen, POINTS, PRIORS)
+    # The unit is as large as the wedge, so that the next face is farther than a difference of normals.
+    config = replace(POINTS, unit_m=0.1, misfit=0.009)
+    cost = _cost(state, seen, config) - _cost(state, seen, PRIORS)
     full = 0.5 * 150.0 / (0.0013**2 + 0.0009**2) * ROBUST_M**2
     assert cost < 0.7 * full if agrees else cost == pytest.approx(full, rel=1e-9)
 
@@ -191,7 +199,7 @@ def test_a_normal_agrees_within_sixty_degrees(angle_deg, agrees, oriented):
 # ---- free space
 
 
-SEEN_EMPTY = replace(PRIORS, effective_points=90.0, free_space=True, silhouette_m=(0.003, 0.005))
+SEEN_EMPTY = replace(PRIORS, effective_points=90.0, free_space=True, silhouette=(0.003, 0.005))
 
 
 def _picture(*, certain: bool, free_range_m: float = np.inf):
@@ -240,7 +248,7 @@ def test_two_states_each_pay_for_their_own_free_space():
     state, _, _, evidence = _picture(certain=True)
     moved = perturbed(state, np.concatenate([np.zeros(3), [0.02, 0.01, -0.01], np.zeros(3 + NUM_MODES)]))
     model = shape_model(wedge_primitive(), NUM_SAMPLES, NUM_MODES)
-    H, g = linearise(StateBatch.of([state, moved], NUM_MODES), model, make_terms(evidence, SEEN_EMPTY), ROBUST_M)
+    H, g = linearise(StateBatch.of([state, moved], NUM_MODES), model, make_terms(evidence, SEEN_EMPTY, 1.0), ROBUST_M)
     for i, alone in enumerate((state, moved)):
         H_alone, g_alone = _normal_equations(alone, evidence, SEEN_EMPTY)
         assert np.allclose(H[i], H_alone, rtol=1e-9)
@@ -376,10 +384,11 @@ def test_a_body_that_should_be_round_pays_for_its_ellipticity():
     model = shape_model(primitive, NUM_SAMPLES, 3)
     evidence = toy_evidence(np.zeros((20, 3)))
     state = wedge_state(log_scale=np.array([0.1, -0.05, 0.2]), coefficients=np.array([0.4, 1.2, -0.6]))
-    batch, on = StateBatch.of([state], 3), replace(PRIORS, ellipticity_m=0.002)
+    batch, on = StateBatch.of([state], 3), replace(PRIORS, ellipticity=0.002)
 
     def cost(changed, config):
-        return float(evaluate_costs(StateBatch.of([changed], 3), model, make_terms(evidence, config), ROBUST_M)[0][0])
+        terms = make_terms(evidence, config, 1.0)
+        return float(evaluate_costs(StateBatch.of([changed], 3), model, terms, ROBUST_M)[0][0])
 
     u = (np.exp(state.log_scale)[:, None] * np.insert(state.coefficients, 0, 1.0)[None]).ravel()
     expected = 0.5 * u @ ellipticity_gram(primitive) @ u / 0.002**2
@@ -387,7 +396,7 @@ def test_a_body_that_should_be_round_pays_for_its_ellipticity():
     H, g = (
         a[0] - b[0]
         for a, b in zip(
-            *(linearise(batch, model, make_terms(evidence, c), ROBUST_M) for c in (on, PRIORS)), strict=True
+            *(linearise(batch, model, make_terms(evidence, c, 1.0), ROBUST_M) for c in (on, PRIORS)), strict=True
         )
     )
     slope = derivative(lambda changed: cost(changed, on) - cost(changed, PRIORS), state, size=1e-5)
@@ -459,11 +468,11 @@ def test_a_step_goes_to_the_least_cost_but_no_farther_than_it_may():
     )
 
 
-def test_a_step_moves_ten_centimetres_at_most():
+def test_a_step_moves_no_farther_than_the_unit_of_length():
     upright = rotation_between((0, 0, 1), UP) @ rotation_about((0, 0, 1), 0.7)
     state, primitive = wedge_state(R=upright, axis_world=UP, axis_sigma_rad=1e-6), wedge_primitive()
     feet = _lowest(state)[1].mean()
-    config = replace(STEP, support=True, estimate_scale=False, estimate_modes=False)
+    config = replace(STEP, support=True, estimate_scale=False, estimate_modes=False, unit_m=0.05)
     shifts = []
     for far_m in (0.02, 1.0):
         evidence = toy_evidence(np.zeros((20, 3)), floor_m=feet - far_m)
@@ -471,8 +480,8 @@ def test_a_step_moves_ten_centimetres_at_most():
         shifts.append(moved.t - state.t)
     assert shifts[0] @ UP == pytest.approx(-0.02, rel=0.01)
     # Nothing holds it sideways here: the damping alone chooses among shifts that go as far down.
-    assert shifts[1] @ UP < -0.03
-    assert np.linalg.norm(shifts[1]) == pytest.approx(0.1, rel=1e-6)
+    assert shifts[1] @ UP < -0.015
+    assert np.linalg.norm(shifts[1]) == pytest.approx(1.04 * 0.05, rel=1e-6)
 
 
 def test_scale_and_modes_stay_where_they_are_not_estimated():

@@ -8,6 +8,7 @@ from gfp_grasp.register.fit import fit_best, fit_primitive
 from gfp_grasp.register.parts import part_is_seen
 from gfp_grasp.register.starts import make_starts
 from gfp_grasp.register.state import PoseShape
+from gfp_grasp.register.surface import primitive_size_m
 
 if TYPE_CHECKING:
     from gfp_grasp.register.pcrnet import PCRNet, mlp, network_input, rotation_of
@@ -25,6 +26,7 @@ __all__ = [
     "network_input",
     "part_is_seen",
     "pcrnet_config",
+    "primitive_size_m",
     "rotation_of",
 ]
 

@@ -6,61 +6,73 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from gfp_grasp.errors import InvalidOption
+from gfp_grasp.register.surface import primitive_size_m
+from gfp_grasp.types import GenericPrimitive
 
 
 @dataclass(frozen=True)
 class RefineConfig:
-    """How the refinement weighs its evidence.
+    """How the refinement weighs its evidence. Its lengths are shares of one unit, which goes with the primitive.
 
     Attributes:
-        steps: Robust scales, m, one for each Gauss-Newton step, from coarse to fine.
+        unit_m: Length, m, of which the other lengths are shares; None is the primitive's own size.
+        steps: Robust scales, shares, one for each Gauss-Newton step, from coarse to fine.
         effective_points: Number of independent points that a view is worth against the prior.
-        misfit_m: Standard deviation of what the modes cannot express.
+        misfit: Standard deviation of what the modes cannot express, a share.
         tangential: Weight of a point's distance along the surface, relative to its distance across the surface.
-        silhouette_m: Standard deviation of a free-space violation, for a real view and for a guessed silhouette.
+        silhouette: Standard deviation of a free-space violation, shares for a real view and a guessed silhouette.
         scale_slack: Factor on the class's standard deviation of the logarithm of scale.
         estimate_scale: Fit scale with the pose.
         estimate_modes: Fit the shape modes with the pose.
         free_space: Use the view's free space.
         support: Have the lowest point touch the support.
-        ellipticity_m: Standard deviation of the ellipticity of the body (see `ellipticity_gram`); None leaves the
-            ellipticity to the modes.
+        ellipticity: Standard deviation of the ellipticity of the body (see `ellipticity_gram`), a share; None leaves
+            the ellipticity to the modes.
         num_points: Largest number of points of the evidence that are used.
         num_samples: Number of samples of the primitive's surface.
         num_modes: Largest number of modes that are fitted; the others stay at the mean.
     """
 
-    steps: tuple[float, ...] = (0.01, 0.007, 0.005, 0.004, 0.004, 0.003, 0.003, 0.003)
+    unit_m: float | None = None
+    steps: tuple[float, ...] = (0.104, 0.073, 0.052, 0.042, 0.042, 0.031, 0.031, 0.031)
     effective_points: float = 150.0
-    misfit_m: float = 0.001
+    misfit: float = 0.0104
     tangential: float = 0.05
-    silhouette_m: tuple[float, float] = (0.002, 0.004)
+    silhouette: tuple[float, float] = (0.021, 0.042)
     scale_slack: float = 1.5
     estimate_scale: bool = True
     estimate_modes: bool = True
     free_space: bool = True
     support: bool = True
-    ellipticity_m: float | None = None
+    ellipticity: float | None = None
     num_points: int = 400
     num_samples: int = 1500
     num_modes: int = 24
 
     def __post_init__(self) -> None:
         if not self.steps or min(self.steps) <= 0:
-            raise InvalidOption(f"steps is {self.steps}; one positive robust scale in metres for each step is expected")
-        if min(self.effective_points, self.misfit_m, *self.silhouette_m, self.scale_slack) <= 0:
-            raise InvalidOption("effective_points, misfit_m, silhouette_m and scale_slack must be positive")
-        if self.ellipticity_m is not None and self.ellipticity_m <= 0:
-            raise InvalidOption(f"ellipticity_m is {self.ellipticity_m}; a positive length or None is expected")
+            raise InvalidOption(
+                f"steps is {self.steps}; one positive robust scale, a share of the size, for each step is expected"
+            )
+        if min(self.effective_points, self.misfit, *self.silhouette, self.scale_slack) <= 0:
+            raise InvalidOption("effective_points, misfit, silhouette and scale_slack must be positive")
+        if self.ellipticity is not None and self.ellipticity <= 0:
+            raise InvalidOption(f"ellipticity is {self.ellipticity}; a positive share of the unit or None is expected")
         if min(self.num_points, self.num_samples) < 20:
             raise InvalidOption(f"{self.num_points} points and {self.num_samples} samples: at least 20 are needed")
         if self.num_modes < 1:
             raise InvalidOption(f"num_modes is {self.num_modes}; at least 1 is expected")
+        if self.unit_m is not None and self.unit_m <= 0:
+            raise InvalidOption(f"unit_m is {self.unit_m}; a positive length or None is expected")
+
+    def unit_of(self, primitive: GenericPrimitive) -> float:
+        """Length, m, of which the other lengths are shares for a primitive."""
+        return primitive_size_m(primitive) if self.unit_m is None else self.unit_m
 
 
-_QUICK = RefineConfig(steps=(0.02, 0.015, 0.01, 0.008, 0.006), num_points=100, num_samples=400, num_modes=5)
-_MIDDLE = RefineConfig(steps=(0.015, 0.01, 0.007, 0.005, 0.004), num_points=250, num_samples=1000)
-_THOROUGH = RefineConfig(steps=(0.004, 0.003, 0.003))
+_QUICK = RefineConfig(steps=(0.208, 0.156, 0.104, 0.083, 0.0625), num_points=100, num_samples=400, num_modes=5)
+_MIDDLE = RefineConfig(steps=(0.156, 0.104, 0.073, 0.052, 0.042), num_points=250, num_samples=1000)
+_THOROUGH = RefineConfig(steps=(0.042, 0.031, 0.031))
 
 HYPOTHESES = ("upright", "upside_down", "lying")
 
@@ -83,7 +95,7 @@ class FitConfig:
         roundness: Ask whether the body is as deep as it is wide.
         size: (3,) scale of every start along the primitive's axes, ones for its own; None estimates it from the points.
         refine: Refine the starts; False takes the best start as it is.
-        max_residual_m: A fit whose trimmed residual is larger has diverged.
+        max_residual: A fit whose trimmed residual is a larger share of the unit has diverged.
     """
 
     start: Literal["pcrnet", "box"] = "box"
@@ -99,7 +111,7 @@ class FitConfig:
     roundness: bool = True
     size: tuple[float, float, float] | None = None
     refine: bool = True
-    max_residual_m: float = 0.05
+    max_residual: float = 0.52
 
     def __post_init__(self) -> None:
         if self.start not in ("pcrnet", "box"):
@@ -118,6 +130,11 @@ class FitConfig:
             )
         if self.num_kept < 1:
             raise InvalidOption(f"num_kept is {self.num_kept}; at least one start must be refined")
+
+    def with_unit(self, unit_m: float) -> FitConfig:
+        """The same with one unit for all of its refinements."""
+        refinements = {name: replace(getattr(self, name), unit_m=unit_m) for name in ("quick", "middle", "thorough")}
+        return replace(self, **refinements)
 
 
 _RIGID = RefineConfig(estimate_scale=False, estimate_modes=False, free_space=False)

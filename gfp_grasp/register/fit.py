@@ -13,6 +13,7 @@ from gfp_grasp.register.occlusion import blocking_cost, cut_off
 from gfp_grasp.register.pruning import Search, search_starts, total_cost
 from gfp_grasp.register.refine import evaluate_free_space, refine
 from gfp_grasp.register.state import PoseShape
+from gfp_grasp.register.surface import primitive_size_m
 from gfp_grasp.register.terms import circular_share
 from gfp_grasp.transforms import make_T
 from gfp_grasp.types import Detection, FittedPrimitive, GenericPrimitive, LevelView
@@ -21,7 +22,7 @@ from gfp_grasp.types import Detection, FittedPrimitive, GenericPrimitive, LevelV
 # 3.0 on 204 views of the validation split and of scans where all is seen, at most 6.7 on 48 with 3 mm of noise, and
 # above 8 on 45 of 48 where half is hidden (mostly above 20).
 _OCCLUSION = 8.0
-_ROUND_M = 0.0003  # ellipticity of a round body, as made and as its modes show it
+_ROUND = 0.0031  # ellipticity of a round body, as made and as its modes show it, a share of the unit
 _ROUND_LOG_PRIOR = 3.0  # log odds of a round body beside its share of the members; ours
 
 
@@ -32,7 +33,7 @@ def fit_primitive(
 
     Raises:
         TooFewPoints: Too few points to fit anything.
-        FitDiverged: No start reached config.max_residual_m.
+        FitDiverged: No start reached config.max_residual.
     """
     view = make_level_view(detection)
     fit = fit_best(view, [(primitive, 0.0)], config=config)
@@ -57,8 +58,10 @@ def fit_best(
         start of another hypothesis over it. It is in the level frame.
 
     Raises:
-        FitDiverged: No primitive reached config.max_residual_m.
+        FitDiverged: No primitive reached config.max_residual.
     """
+    # One unit for all of them: costs of primitives can be compared only where they take the same misfit for likely.
+    config = config.with_unit(float(np.median([primitive_size_m(primitive) for primitive, _ in candidates])))
     found = search_starts(evidence, candidates, config)
     if config.refine and _is_cut_off(found, evidence, config):
         seen = evidence
@@ -96,8 +99,8 @@ def _is_cut_off(found: Search, evidence: LevelView, config: FitConfig) -> bool:
 
 def try_circular(state: PoseShape, primitive: GenericPrimitive, evidence: LevelView, config: FitConfig) -> PoseShape:
     """The same fit with a body that is as deep as it is wide, where the points do not speak against that."""
-    (circular,) = refine([state], primitive, evidence, replace(config.thorough, ellipticity_m=_ROUND_M))
+    (circular,) = refine([state], primitive, evidence, replace(config.thorough, ellipticity=_ROUND))
     blocking = blocking_cost(circular, primitive, evidence, config.thorough)
     circular = replace(circular, cost=circular.cost + blocking)
-    share = circular_share(primitive, 2 * _ROUND_M)
+    share = circular_share(primitive, 2 * _ROUND * config.thorough.unit_of(primitive))
     return circular if circular.cost - np.log(share) - _ROUND_LOG_PRIOR < state.cost - np.log1p(-share) else state

@@ -18,8 +18,8 @@ from gfp_grasp.register.config import RefineConfig
 from gfp_grasp.register.state import PoseShape
 from gfp_grasp.types import DepthImage, GenericPrimitive, LevelView, Silhouette
 
-# A surface is in front of a point when it is this much nearer: noise and the misfit of the modes are less.
-_HIDDEN_M = 0.012
+# A surface is in front of a point when it is nearer by this share of the unit: noise and misfit of the modes are less.
+_HIDDEN = 0.125
 _NUM_SIGHTS = 120  # lines of sight along which a surface is looked for
 # A share of what an occluder cuts off is out of sight; ours, not measured: less than a seventh seldom is.
 _TRUNCATED_SHARE = 0.15
@@ -126,10 +126,10 @@ def blocking_cost(state: PoseShape, primitive: GenericPrimitive, evidence: Level
         return 0.0
     sight = evidence.points - evidence.viewpoint
     distance, _, _ = cast_rays([(_vertices(state, primitive), primitive.faces)], evidence.viewpoint, sight)
-    length = np.linalg.norm(sight, axis=1)
-    blocked = float((distance * length < length - _HIDDEN_M).mean())
-    robust_m, sigma = config.steps[-1], np.hypot(evidence.sigma_m, config.misfit_m)
-    return 0.5 * config.effective_points * blocked * float((robust_m / sigma) ** 2)
+    length, unit_m = np.linalg.norm(sight, axis=1), config.unit_of(primitive)
+    blocked = float((distance * length < length - _HIDDEN * unit_m).mean())
+    robust_m, sigma_m = config.steps[-1] * unit_m, np.hypot(evidence.sigma_m, config.misfit * unit_m)
+    return 0.5 * config.effective_points * blocked * float((robust_m / sigma_m) ** 2)
 
 
 def truncation_cost(state: PoseShape, primitive: GenericPrimitive, evidence: LevelView) -> float:

@@ -13,12 +13,14 @@ from gfp_grasp.register.occlusion import blocking_cost, truncation_cost
 from gfp_grasp.register.refine import evaluate_states, refine
 from gfp_grasp.register.starts import make_starts
 from gfp_grasp.register.state import PoseShape
+from gfp_grasp.register.surface import primitive_size_m
 from gfp_grasp.types import GenericPrimitive, LevelView
 
 _HEAD_STEPS = 2  # quick steps that every start takes
 _ABANDON_MARGIN = 100.0  # a start that is behind by this cost after the quick steps never comes back; ours
-# Starts of one hypothesis that are nearer than this in translation and in every entry of R are the same place.
-_SAME_PLACE_M = 0.003
+# Starts of one hypothesis are the same place where they differ by less than this in translation (a share of the
+# primitive's size) and in every entry of R.
+_SAME_PLACE = 0.031
 _SAME_ROTATION = 0.1
 
 
@@ -61,7 +63,7 @@ def search_starts(
         config: Starts, steps and margins.
 
     Raises:
-        FitDiverged: None of them reached config.max_residual_m.
+        FitDiverged: None of them reached config.max_residual.
     """
     searches = [_tried(primitive, prior_cost, evidence, config) for primitive, prior_cost in candidates]
     if config.refine:
@@ -69,12 +71,13 @@ def search_starts(
         searches = [
             _finished(search, evidence, config) for search in within_margin(searches, config.rival_margin_quick)
         ]
-    fits = [s for s in searches if s.best.residual_m <= config.max_residual_m and np.isfinite(s.cost)]
+    allowed_m = {s: config.max_residual * config.thorough.unit_of(s.primitive) for s in searches}
+    fits = [s for s in searches if s.best.residual_m <= allowed_m[s] and np.isfinite(s.cost)]
     if not fits:
         nearest = min(searches, key=lambda search: search.best.residual_m)
         raise FitDiverged(
             f"{nearest.primitive.category}: the best start misses the points by "
-            f"{nearest.best.residual_m * 1000:.1f} mm, {config.max_residual_m * 1000:.0f} mm is allowed: "
+            f"{nearest.best.residual_m * 1000:.1f} mm, {allowed_m[nearest] * 1000:.0f} mm is allowed: "
             "is it one object, in metres, with the right up?"
         )
     return min(fits, key=lambda search: search.cost)
@@ -91,23 +94,27 @@ def total_cost(state: PoseShape) -> float:
     return state.cost + state.rest_cost
 
 
-def distinct_leaders(states: list[PoseShape], count: int) -> list[PoseShape]:
-    """The best few states, sorted before, of which no two are the same place; and the best one of every hypothesis."""
+def distinct_leaders(states: list[PoseShape], count: int, size_m: float) -> list[PoseShape]:
+    """The best few states, of which no two are the same place, and the best one of every hypothesis.
+
+    Args:
+        states: Best first.
+        count: How many; those that are added for their hypothesis come besides.
+        size_m: Size of the primitive.
+    """
     firsts = {s.hypothesis: s for s in reversed(states)}
     chosen: list[PoseShape] = []
     for state in states:
-        if not any(_is_same_place(s, state) for s in chosen):
+        if not any(_is_same_place(s, state, _SAME_PLACE * size_m) for s in chosen):
             chosen.append(state)
         if len(chosen) == count:
             break
     return chosen + [s for s in firsts.values() if s.hypothesis not in {c.hypothesis for c in chosen}]
 
 
-def _is_same_place(a: PoseShape, b: PoseShape) -> bool:
+def _is_same_place(a: PoseShape, b: PoseShape, near_m: float) -> bool:
     return bool(
-        a.hypothesis == b.hypothesis
-        and np.linalg.norm(a.t - b.t) < _SAME_PLACE_M
-        and np.abs(a.R - b.R).max() < _SAME_ROTATION
+        a.hypothesis == b.hypothesis and np.linalg.norm(a.t - b.t) < near_m and np.abs(a.R - b.R).max() < _SAME_ROTATION
     )
 
 
@@ -129,13 +136,13 @@ def _tried(primitive: GenericPrimitive, prior_cost: float, evidence: LevelView, 
 
 def _pruned(search: Search, evidence: LevelView, config: FitConfig) -> Search:
     """The leaders among the better share of the starts, after the rest of the quick steps."""
-    states, tail = search.states, config.quick.steps[_HEAD_STEPS:]
+    states, tail, size_m = search.states, config.quick.steps[_HEAD_STEPS:], primitive_size_m(search.primitive)
     if tail:
-        kept = distinct_leaders(states, max(config.num_kept, round(config.kept_share * len(states))))
+        kept = distinct_leaders(states, max(config.num_kept, round(config.kept_share * len(states))), size_m)
         quick = replace(config.quick, steps=tail)
         states = sorted(refine(kept, search.primitive, evidence, quick), key=total_cost)
     leaders, limit = [], np.inf
-    for state in sorted(distinct_leaders(states, config.num_kept), key=total_cost):
+    for state in sorted(distinct_leaders(states, config.num_kept, size_m), key=total_cost):
         if total_cost(state) <= limit:  # the others are abandoned, whatever they hide
             state = replace(state, cost=state.cost + blocking_cost(state, search.primitive, evidence, config.thorough))
             limit = min(limit, total_cost(state) + _ABANDON_MARGIN)

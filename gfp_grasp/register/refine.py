@@ -15,12 +15,12 @@ from scipy.spatial.transform import Rotation
 from gfp_grasp.register.config import RefineConfig
 from gfp_grasp.register.posterior import ShapeModel, evaluate_costs, linearise, shape_model
 from gfp_grasp.register.state import PoseShape, StateBatch
-from gfp_grasp.register.terms import FreeSpaceTerm, make_terms
+from gfp_grasp.register.terms import make_free_space_term, make_terms
 from gfp_grasp.types import GenericPrimitive, LevelView
 
 _MAX_COEFFICIENT = 3.0
-# Longest step in rotation (rad), translation (m), log scale and coefficients.
-_MAX_TURN, _MAX_SHIFT_M, _MAX_LOG_SCALE, _MAX_MODE = 0.4, 0.1, 0.3, 1.5
+# Longest step in rotation (rad), translation (share of the unit), log scale and coefficients.
+_MAX_TURN, _MAX_SHIFT, _MAX_LOG_SCALE, _MAX_MODE = 0.4, 1.04, 0.3, 1.5
 _DAMPING = 1e-3  # share by which the diagonal of the normal matrix is raised
 
 
@@ -41,10 +41,12 @@ def refine(
     if not states:
         return []
     model = shape_model(primitive, config.num_samples, config.num_modes)
-    batch, terms = StateBatch.of(states, model.num_modes), make_terms(evidence.few(config.num_points), config)
-    for robust_m in config.steps:
-        batch = _stepped(batch, model, *linearise(batch, model, terms, robust_m), config)
-    return batch.split(states, *evaluate_costs(batch, model, terms, config.steps[-1]))
+    unit_m = config.unit_of(primitive)
+    batch, terms = StateBatch.of(states, model.num_modes), make_terms(evidence.few(config.num_points), config, unit_m)
+    for robust in config.steps:
+        H, g = linearise(batch, model, terms, robust * unit_m)
+        batch = _stepped(batch, model, H, g, config, longest_m=_MAX_SHIFT * unit_m)
+    return batch.split(states, *evaluate_costs(batch, model, terms, config.steps[-1] * unit_m))
 
 
 def evaluate_states(
@@ -52,8 +54,9 @@ def evaluate_states(
 ) -> list[PoseShape]:
     """States as they are, with their cost and residual."""
     model = shape_model(primitive, config.num_samples, config.num_modes)
-    batch, terms = StateBatch.of(states, model.num_modes), make_terms(evidence.few(config.num_points), config)
-    return batch.split(states, *evaluate_costs(batch, model, terms, config.steps[-1]))
+    unit_m = config.unit_of(primitive)
+    batch, terms = StateBatch.of(states, model.num_modes), make_terms(evidence.few(config.num_points), config, unit_m)
+    return batch.split(states, *evaluate_costs(batch, model, terms, config.steps[-1] * unit_m))
 
 
 def evaluate_free_space(
@@ -63,11 +66,15 @@ def evaluate_free_space(
     if evidence.silhouette is None:
         return 0.0
     model = shape_model(primitive, config.num_samples, config.num_modes)
-    batch, terms = StateBatch.of([state], model.num_modes), [FreeSpaceTerm(evidence.silhouette, config)]
-    return float(evaluate_costs(batch, model, terms, config.steps[-1])[0][0])
+    unit_m = config.unit_of(primitive)
+    terms = [make_free_space_term(evidence.silhouette, config, unit_m)]
+    batch = StateBatch.of([state], model.num_modes)
+    return float(evaluate_costs(batch, model, terms, config.steps[-1] * unit_m)[0][0])
 
 
-def _stepped(batch: StateBatch, model: ShapeModel, H: np.ndarray, g: np.ndarray, config: RefineConfig) -> StateBatch:
+def _stepped(
+    batch: StateBatch, model: ShapeModel, H: np.ndarray, g: np.ndarray, config: RefineConfig, *, longest_m: float
+) -> StateBatch:
     free = np.ones(g.shape[1], dtype=bool)
     free[6:9] = config.estimate_scale
     free[9:] = config.estimate_modes
@@ -77,7 +84,7 @@ def _stepped(batch: StateBatch, model: ShapeModel, H: np.ndarray, g: np.ndarray,
     damped[:, diagonal, diagonal] += 1e-9
     step = np.zeros_like(g)
     step[:, free] = np.linalg.solve(damped, g[:, free, None])[..., 0]
-    turn, shift = _at_most(step[:, :3], _MAX_TURN), _at_most(step[:, 3:6], _MAX_SHIFT_M)
+    turn, shift = _at_most(step[:, :3], _MAX_TURN), _at_most(step[:, 3:6], longest_m)
     bound = 3.0 * config.scale_slack * model.scale_sigma
     log_scale = batch.log_scale + np.clip(step[:, 6:9], -_MAX_LOG_SCALE, _MAX_LOG_SCALE)
     coefficients = batch.coefficients + np.clip(step[:, 9:], -_MAX_MODE, _MAX_MODE)

@@ -14,6 +14,7 @@ from gfp_grasp.types import GenericPrimitive, LevelView
 _STANDING_SIGMA_RAD = np.deg2rad(1.0)
 _LYING_SIGMA_RAD = np.deg2rad(15.0)
 _YAWS = 8  # of a body without symmetry
+_LEAST_SCALE = 0.01  # of a start: points may lie in a plane, or below what is taken for the floor
 _CUT = 0.5  # cosine from which on a side counts as cut off
 
 
@@ -119,8 +120,8 @@ def _standing(
             box.height, float(np.ptp(along)), _cosine_in_picture(evidence, box.axis),
             box.width, float(np.ptp(aside)), _cosine_in_picture(evidence, box.across),
         )  # fmt: skip
-    long = max(high - low, 1e-3) / float(np.ptp(along))
-    wide = max(right - left, 1e-3) / float(np.ptp(aside))
+    long = max((high - low) / float(np.ptp(along)), _LEAST_SCALE)
+    wide = max((right - left) / float(np.ptp(aside)), _LEAST_SCALE)
     centre = (
         box.across * (left - wide * float(aside.min()))
         + box.deep * (box.near - wide * float(depth.max()))
@@ -134,8 +135,8 @@ def _lying(primitive: GenericPrimitive, evidence: LevelView, box: _LyingBox) -> 
     R = _frame(box.axis, evidence.up)
     along, height = (primitive.vertices @ (R.T @ np.column_stack([box.axis, evidence.up]))).T
     low, high = box.length
-    long = max(high - low, 1e-3) / float(np.ptp(along))
-    wide = max(box.top - evidence.floor_m, 1e-3) / float(np.ptp(height))
+    long = max((high - low) / float(np.ptp(along)), _LEAST_SCALE)
+    wide = max((box.top - evidence.floor_m) / float(np.ptp(height)), _LEAST_SCALE)
     centre = (
         evidence.up * (evidence.floor_m - wide * float(height.min()))
         + box.flat * box.middle

@@ -16,11 +16,11 @@ import numpy as np
 
 from gfp_grasp.meshes import vertex_normals
 from gfp_grasp.register.config import RefineConfig
-from gfp_grasp.register.posterior import NormalEquations, ResidualTerm, cross
+from gfp_grasp.register.posterior import NormalEquations, ResidualTerm, StateSurface, cross
 from gfp_grasp.types import OUTSIDE, GenericPrimitive, LevelView, Silhouette
 
-# In the search for the nearest sample, normals that differ by one unit (60 degrees) count like this distance.
-_NORMAL_LENGTH_M = 0.02
+# In the search for the nearest sample, normals 60 degrees apart count like a distance of this share of the unit.
+_NORMAL_LENGTH = 0.208
 _MIN_NORMAL_COSINE = 0.5
 _TRIMMED_SHARE = 0.9  # of the points, the nearest ones, over which the residual is averaged
 _FLOOR_LIMIT = 3.0  # standard deviations below a guessed floor beyond which it pulls less and less
@@ -29,41 +29,59 @@ _BANDS = 8  # of the height, each with an ellipticity of its own
 _MIN_VERTICES = 12
 
 
-def make_terms(evidence: LevelView, config: RefineConfig) -> list[ResidualTerm]:
-    """All terms of the posterior of one object."""
-    terms: list[ResidualTerm] = [PointTerm(evidence, config)]
+def make_terms(evidence: LevelView, config: RefineConfig, unit_m: float) -> list[ResidualTerm]:
+    """All terms of the posterior of one object; unit_m is the length of which the config's lengths are shares."""
+    sigma_m = float(np.hypot(evidence.sigma_m, config.misfit * unit_m))
+    points = PointTerm(evidence, config.effective_points, sigma_m, config.tangential, _NORMAL_LENGTH * unit_m)
+    terms: list[ResidualTerm] = [points]
     if config.free_space and evidence.silhouette is not None:
-        terms.append(FreeSpaceTerm(evidence.silhouette, config))
+        terms.append(make_free_space_term(evidence.silhouette, config, unit_m))
     if config.support:
         terms.append(SupportTerm(evidence))
     terms += [AxisTerm(), ClassTerm(config.scale_slack)]
-    if config.ellipticity_m is not None:
-        terms.append(RoundnessTerm(config.ellipticity_m))
+    if config.ellipticity is not None:
+        terms.append(RoundnessTerm(config.ellipticity * unit_m))
     return terms
+
+
+def make_free_space_term(silhouette: Silhouette, config: RefineConfig, unit_m: float) -> FreeSpaceTerm:
+    """The term of free space alone."""
+    sigma = config.silhouette[0 if silhouette.certain else 1]
+    return FreeSpaceTerm(silhouette, config.effective_points, sigma * unit_m)
 
 
 @dataclass(frozen=True, eq=False)
 class PointTerm:
-    """Observed points lie on the surface; this term sets the residual, too."""
+    """Observed points lie on the surface; this term sets the residual, too.
+
+    Attributes:
+        evidence: n points with normals.
+        effective_points: Number of independent points that they are worth.
+        sigma_m: Standard deviation of their distance across the surface.
+        tangential: Weight of the distance along the surface, relative to the distance across it.
+        normal_length_m: Length that stands for a difference of normals of one, see `match_points`.
+    """
 
     evidence: LevelView
-    config: RefineConfig
+    effective_points: float
+    sigma_m: float
+    tangential: float
+    normal_length_m: float
 
     def add(self, sums: NormalEquations) -> None:
         """See `ResidualTerm`."""
-        surface, evidence, config = sums.surface, self.evidence, self.config
+        surface, evidence = sums.surface, self.evidence
         states = np.arange(len(surface.world))
-        index, agrees = match_points(surface.world, surface.normals, evidence)
+        index, agrees = match_points(surface, evidence, self.normal_length_m)
         normals = surface.normals[states[:, None], index]
         gap = evidence.points - surface.world[states[:, None], index]
         across = np.einsum("sni,sni->sn", normals, gap)
-        sigma_m = np.hypot(evidence.sigma_m, config.misfit_m)
-        share = config.effective_points / gap.shape[1] / sigma_m**2
+        share = self.effective_points / gap.shape[1] / self.sigma_m**2
         # The robust weight reads the whole gap: a point far from its sample says little in whichever direction it lies.
-        squared = across**2 + config.tangential * np.einsum("sni,sni->sn", gap, gap)
+        squared = across**2 + self.tangential * np.einsum("sni,sni->sn", gap, gap)
         robust = 1.0 / (1.0 + squared / sums.robust_m**2)
         weight = share * robust**2 * agrees
-        sums.pull_points(index, gap, normals, weight, config.tangential)
+        sums.pull_points(index, gap, normals, weight, self.tangential)
         # The cost uses the same robust scale for every start; a point without a partner pays the most there is.
         sums.cost += 0.5 * share * np.where(agrees, robust * squared, sums.robust_m**2).sum(axis=1)
         distance = np.sort(np.where(agrees, np.abs(across), np.linalg.norm(gap, axis=2)), axis=1)
@@ -72,10 +90,17 @@ class PointTerm:
 
 @dataclass(frozen=True, eq=False)
 class FreeSpaceTerm:
-    """The surface does not stand in space that was seen empty."""
+    """The surface does not stand in space that was seen empty.
+
+    Attributes:
+        silhouette: Pixels of the object, and the free space beside it.
+        effective_points: Number of independent points that the view is worth.
+        sigma_m: Standard deviation of the violation.
+    """
 
     silhouette: Silhouette
-    config: RefineConfig
+    effective_points: float
+    sigma_m: float
 
     def add(self, sums: NormalEquations) -> None:
         """See `ResidualTerm`."""
@@ -86,7 +111,7 @@ class FreeSpaceTerm:
         # A silhouette that is guessed from the points lacks what something hides: its force is capped sooner.
         limit = 4 * sums.robust_m if certain else 2 * sums.robust_m
         robust = 1.0 / (1.0 + (distance / limit) ** 2)
-        share = self.config.effective_points / world.shape[1] / self.config.silhouette_m[0 if certain else 1] ** 2
+        share = self.effective_points / world.shape[1] / self.sigma_m**2
         sums.cost += 0.5 * share * np.bincount(state, robust * distance**2, minlength=len(world))
         sums.pull_samples(state, index, back, share * robust**2)
 
@@ -172,20 +197,21 @@ class RoundnessTerm:
         sums.cost += 0.5 * np.einsum("si,ij,sj->s", u, gram, u) / self.sigma_m**2
 
 
-def match_points(world: np.ndarray, normals: np.ndarray, evidence: LevelView) -> tuple[np.ndarray, np.ndarray]:
+def match_points(surface: StateSurface, evidence: LevelView, normal_length_m: float) -> tuple[np.ndarray, np.ndarray]:
     """The sample of the surface on which each observed point is seen to lie.
 
     It is the nearest one in position and normal, so that a thin wall keeps its two sides apart; where there is a
     viewpoint, it is among the samples that face it.
 
     Args:
-        world: (s, m, 3) m, samples of the surface of s states.
-        normals: (s, m, 3) unit.
+        surface: m samples of the surface of s states.
         evidence: n points.
+        normal_length_m: Length that stands for a difference of unit normals of one.
 
     Returns:
         Index (s, n) of the sample, and whether the normals agree (s, n) bool.
     """
+    world, normals = surface.world, surface.normals
     shape = (len(world), len(evidence.points))
     index, agrees = np.zeros(shape, dtype=np.int64), np.zeros(shape, dtype=bool)
     facing = np.ones(world.shape[:2], dtype=bool)
@@ -193,10 +219,10 @@ def match_points(world: np.ndarray, normals: np.ndarray, evidence: LevelView) ->
         facing = np.einsum("smi,smi->sm", normals, evidence.viewpoint - world) > 0
     # Near the origin float32 tells samples apart that lie micrometres from each other.
     origin = evidence.points.mean(axis=0)
-    features = np.concatenate([world - origin, _NORMAL_LENGTH_M * normals], axis=2, dtype=np.float32)
+    features = np.concatenate([world - origin, normal_length_m * normals], axis=2, dtype=np.float32)
     half = 0.5 * np.einsum("smi,smi->sm", features, features)
     asked, turned_over = (
-        np.hstack([evidence.points - origin, sign * _NORMAL_LENGTH_M * evidence.normals], dtype=np.float32)
+        np.hstack([evidence.points - origin, sign * normal_length_m * evidence.normals], dtype=np.float32)
         for sign in (1.0, -1.0)
     )
     for i, faces in enumerate(facing):
