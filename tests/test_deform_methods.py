@@ -49,14 +49,24 @@ class Answering:
         return self.answer(*parts)
 
 
-def per_point(offset, log_sigma=0.0):
-    """Answers of the default network: every point moved by offset (patch frame and unit), no change of the fit."""
+def answer_per_point(monkeypatch, offset, log_sigma=0.0, field=0.0):
+    """Let the default method say this of every point of every patch (patch frame and unit), and of the fit as a whole.
 
-    def answer(source, *_):
-        moved = torch.as_tensor(offset, dtype=torch.float32).expand(source.shape)
-        return moved, torch.full(source.shape[:3], log_sigma), torch.zeros(1, networks.CHANGE)
+    Returns:
+        The patches that it was asked about, as they come.
+    """
+    asked = []
 
-    return answer
+    def answer(patches, fit):
+        asked.append(patches)
+        return (
+            np.broadcast_to(np.asarray(offset, dtype=float), patches.source.shape),
+            np.broadcast_to(np.asarray(log_sigma, dtype=float), patches.index.shape),
+            np.broadcast_to(np.asarray(field, dtype=float), fit.primitive.vertices.shape),
+        )
+
+    monkeypatch.setattr(methods, "_per_point", answer)
+    return asked
 
 
 def displacement_of(deformed, fit):
@@ -74,9 +84,8 @@ def test_no_method_leaves_the_fit_as_it_is(fit, view):
 def test_offsets_of_the_patches_are_blended_and_diffused_along_the_patches_normals(monkeypatch, fit, view):
     """All patches say 0.04 units along their own normals: the surface grows by about that much."""
     step = 0.04 * patch_unit_m(fit.primitive)
-    network = Answering(monkeypatch, per_point((0, 0, 0.04)))
+    answer_per_point(monkeypatch, (0, 0, 0.04))
     deformed = deform(fit, view)
-    assert network.names == ["patch"]
     assert deformed.kept == 1.0
     vertices = fit.primitive.shape(fit.coefficients, fit.scale)
     along = np.einsum("vi,vi->v", displacement_of(deformed, fit), vertex_normals(vertices, fit.primitive.faces))
@@ -86,84 +95,81 @@ def test_offsets_of_the_patches_are_blended_and_diffused_along_the_patches_norma
 
 
 def test_an_offset_of_one_point_is_believed_up_to_a_fifteenth_of_the_unit(monkeypatch, fit, view):
-    unit = patch_unit_m(fit.primitive)
-    largest = {}
-    for length in (0.05, 1 / 15, 0.2, 3.0):
-        Answering(monkeypatch, per_point(np.array([0.6, 0.0, 0.8]) * length))
-        largest[length] = np.linalg.norm(displacement_of(deform(fit, view), fit), axis=1).max()
-    assert largest[0.05] == pytest.approx(0.75 * largest[1 / 15], rel=1e-3)
-    assert largest[0.2] == pytest.approx(largest[1 / 15], rel=1e-4)
-    assert largest[3.0] == pytest.approx(largest[1 / 15], rel=1e-4)
-    assert 0.9 * unit / 15 < largest[1 / 15] < 1.1 * unit / 15
+    """The default network's own answer, as it is and ten thousand times as large."""
+    real = networks.load_network("patch")
+    given = []
+
+    def enlarged(*parts, **options):
+        answer = real(*parts, **options)
+        given.append(answer[0].numpy())
+        many = (10_000 * answer[0], *answer[1:])
+        return type(answer)(*many) if hasattr(answer, "_fields") else many
+
+    asked = []
+    per_point = methods._per_point
+    monkeypatch.setattr(methods, "_per_point", lambda *a: asked.append(per_point(*a)) or asked[-1])
+    deform(fit, view)
+    monkeypatch.setattr(networks, "load_network", lambda name: enlarged)
+    deform(fit, view)
+    (own, _, _), (held, _, _) = asked
+    assert np.linalg.norm(own, axis=2).max() <= 1 / 15 + 1e-9
+    assert np.linalg.norm(held, axis=2) == pytest.approx(np.full(held.shape[:2], 1 / 15), rel=1e-6)
+    direction = given[0][0] / np.linalg.norm(given[0][0], axis=2, keepdims=True)
+    assert 15 * held == pytest.approx(direction, abs=1e-4)
 
 
 def test_sigma_is_what_the_network_says_in_metres(monkeypatch, fit, view):
-    Answering(monkeypatch, per_point((0, 0, 0), log_sigma=-2.5))
+    answer_per_point(monkeypatch, (0, 0, 0), log_sigma=-2.5)
     sigma_m = deform(fit, view).sigma_m
-    assert sigma_m == pytest.approx(np.full(len(sigma_m), np.exp(-2.5) * patch_unit_m(fit.primitive)), rel=1e-5)
+    assert sigma_m == pytest.approx(np.full(len(sigma_m), np.exp(-2.5) * patch_unit_m(fit.primitive)))
 
 
 def test_sigma_of_a_vertex_is_the_weighted_mean_in_logarithms_of_the_patches_that_hold_it(monkeypatch, fit, view):
-    def answer(source, *_):
-        said = torch.arange(source.shape[1], dtype=torch.float32)[None, :, None].expand(source.shape[:3]) / 20 - 4
-        return torch.zeros(source.shape), said, torch.zeros(1, networks.CHANGE)
-
-    Answering(monkeypatch, answer)
-    sigma_m = deform(fit, view).sigma_m
     index, weights = patch_layout(fit.primitive)
+    answer_per_point(monkeypatch, (0, 0, 0), log_sigma=np.arange(len(index))[:, None] / 20 - 4)
+    sigma_m = deform(fit, view).sigma_m
     for vertex in (0, 100, 333, 700):
         patch, place = np.nonzero(index == vertex)
         mean = np.average(patch / 20 - 4, weights=weights[patch, place])
-        assert sigma_m[vertex] == pytest.approx(np.exp(mean) * patch_unit_m(fit.primitive), rel=1e-4)
+        assert sigma_m[vertex] == pytest.approx(np.exp(mean) * patch_unit_m(fit.primitive))
 
 
 def test_a_change_of_the_fit_moves_all_vertices(monkeypatch, fit, view):
-    """Scale along y, which the network may change although it does not know the primitive."""
-
-    def answer(source, *_):
-        change = torch.zeros(1, networks.CHANGE)
-        change[0, networks.MODES + 1] = 2.0
-        return torch.zeros(source.shape), torch.zeros(source.shape[:3]), change
-
-    Answering(monkeypatch, answer)
-    moved = displacement_of(deform(fit, view), fit)
+    """The change is a growth along y by 2 %, in the frame of the object."""
     vertices = fit.primitive.shape(fit.coefficients, fit.scale)
-    grown = networks.change_units(fit.primitive)[networks.MODES + 1] * 2.0 * vertices[:, 1]
-    assert moved[:, 1] == pytest.approx(grown, abs=2e-4)
+    grown = 0.02 * vertices * (0, 1, 0)
+    answer_per_point(monkeypatch, (0, 0, 0), field=grown)
+    moved = displacement_of(deform(fit, view), fit)
+    assert moved[:, 1] == pytest.approx(grown[:, 1], abs=2e-4)
     assert np.abs(moved[:, [0, 2]]).max() < 2e-4
-    assert np.corrcoef(moved[:, 1], grown)[0, 1] > 0.99
+    assert np.corrcoef(moved[:, 1], grown[:, 1])[0, 1] > 0.99
 
 
 def test_the_network_is_told_of_the_viewpoint_in_the_frame_of_the_object(monkeypatch, fit, view):
-    network = Answering(monkeypatch, per_point((0, 0, 0)))
+    patches = answer_per_point(monkeypatch, (0, 0, 0))
     deform(fit, view)
-    pose_features = network.asked[0][0][6][0].numpy()
     vertices = fit.primitive.shape(fit.coefficients, fit.scale)
     sight = EYE - vertices[patch_layout(fit.primitive)[0][:, 0]]
-    assert pose_features[:, 3:6] == pytest.approx(sight / np.linalg.norm(sight, axis=1, keepdims=True), abs=1e-5)
+    sight /= np.linalg.norm(sight, axis=1, keepdims=True)
+    assert patches[0].pose_features[:, 3:6] == pytest.approx(sight)
+
+
+def test_points_a_millimetre_outside_are_residuals_of_a_millimetre(monkeypatch, fit, view):
+    asked = answer_per_point(monkeypatch, (0, 0, 0))
+    deform(fit, view)
+    (p,) = asked
+    seen = p.residuals[..., 3] > 0.9
+    assert np.median(p.residuals[seen][:, 0]) == pytest.approx(0.001 / (0.1 * p.unit_m), rel=0.1)
 
 
 def test_the_network_is_given_the_patches_as_they_are_made(monkeypatch, fit, view):
-    network = Answering(monkeypatch, per_point((0, 0, 0)))
-    made = []
-    make_patches = methods.make_patches
-    monkeypatch.setattr(methods, "make_patches", lambda *a: made.append(make_patches(*a)) or made[-1])
+    asked = answer_per_point(monkeypatch, (0, 0, 0))
     deform(fit, view)
-    (p,) = made
-    wanted = (
-        p.source,
-        p.source_normals,
-        p.template,
-        p.template_normals,
-        p.mirrored,
-        p.residuals,
-        p.pose_features,
-    )
-    for given, part in zip(network.asked[0][0], wanted, strict=False):
-        assert given[0].numpy() == pytest.approx(part.astype(np.float32), abs=1e-6)
-    # Points 1 mm outside: where they are seen, the nearest four say so, in tenths of the unit.
-    seen = p.residuals[..., 3] > 0.9
-    assert np.median(p.residuals[seen][:, 0]) == pytest.approx(0.001 / (0.1 * p.unit_m), rel=0.1)
+    (p,) = asked
+    parts = (p.source, p.source_normals, p.template, p.template_normals, p.mirrored, p.residuals, p.pose_features)
+    for given, part in zip(methods.patch_tensors(p), parts, strict=True):
+        assert given.dtype == torch.float32
+        assert given.numpy() == pytest.approx(part.astype(np.float32))
 
 
 @pytest.mark.parametrize(
@@ -202,7 +208,8 @@ def test_symmetry_is_used_where_it_is_asked_for_and_never_by_the_papers_method(m
         return template_points(*parts, symmetry=symmetry)
 
     monkeypatch.setattr(methods, "template_points", spied)
-    Answering(monkeypatch, lambda *parts: per_point((0, 0, 0))(*parts) if len(parts) > 2 else parts[0])
+    answer_per_point(monkeypatch, (0, 0, 0))
+    Answering(monkeypatch, lambda source, template: source)
     for method, symmetry in (("gfpnet", True), ("gfpnet", False), ("gfpnet-paper", True), ("gfpnet-oneshot", True)):
         deform(fit, view, config=DeformConfig(method=method, symmetry=symmetry))
     deform(fit, view, config=DeformConfig(method="gfs", symmetry=False))
