@@ -223,8 +223,7 @@ def test_a_predicted_set_pulls_each_point_by_the_mean_of_its_neighbourhood(fit, 
     predicted = source.copy()
     predicted[:, ::2, 2] += 0.01
     order = rng.permutation(64)
-    patches = type("Some", (), {"source": source})()
-    offsets = methods._pulled(patches, predicted[:, order])  # pyright: ignore[reportArgumentType]
+    offsets = methods._offsets_to(predicted[:, order], source)
     for own, answer in zip(source, offsets, strict=True):
         near = KDTree(own).query(own, k=8)[1]
         assert answer[:, 2] == pytest.approx(0.01 * (near % 2 == 0).mean(axis=1))

@@ -142,6 +142,19 @@ def test_a_patch_sees_the_template_points_that_are_near_and_face_its_way(body):
         assert len(np.unique(np.round(given, 9), axis=0)) == min(count, NUM_TEMPLATE)
 
 
+def test_of_many_template_points_some_are_drawn_that_cover_the_patch():
+    """A dense level grid over the plate, in rows of growing x: the 64 that a patch gets are not the first ones."""
+    x, y = np.meshgrid(np.linspace(-0.06, 0.06, 61), np.linspace(-0.04, 0.04, 41), indexing="ij")
+    grid = np.stack([x.ravel(), y.ravel(), np.full(x.size, 0.016)], axis=1)
+    p = make_patches(PLATE, PLATE.vertices, template_of(grid, (0, 0, 1)), None)
+    centre = PLATE.vertices[p.index[:, 0]]
+    inner = (np.abs(centre[:, :2]) < (0.02, 0.01)).all(axis=1) & (centre[:, 2] > 0)
+    assert inner.any()
+    there = p.unit_m * (p.template @ p.frames.transpose(0, 2, 1))[inner]
+    assert np.abs(there[..., :2].mean(axis=1)).max() < 0.4 * p.unit_m
+    assert (there[..., 0].max(axis=1) > 0.6 * p.unit_m).all()
+
+
 def test_a_patch_with_fewer_than_six_template_points_sees_nothing(body):
     start = body.vertices[np.argmax(body.vertices[:, 2])]
     axis = vertex_normals(body.vertices, body.faces)[np.argmax(body.vertices[:, 2])]

@@ -12,7 +12,7 @@ from gfp_grasp.deform.fold_free import damp_until_solid, diffuse
 from gfp_grasp.deform.gfs import SnakeConfig, evolve
 from gfp_grasp.deform.layout import patch_unit_m
 from gfp_grasp.deform.patches import Patches, blend, make_patches
-from gfp_grasp.deform.template import template_points
+from gfp_grasp.deform.template import TemplatePoints, template_points
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.parallel import one_thread
 from gfp_grasp.transforms import apply_T, invert_T
@@ -33,8 +33,8 @@ class DeformConfig:
     Attributes:
         method: "gfpnet" (per-point decoder), "gfpnet-paper" (iterative), "gfpnet-oneshot", "gfs" (active contour) or
             "none".
-        symmetry: Carry observed points to the hidden side.
-        iterations: Of gfpnet-paper; None is the paper's five.
+        symmetry: Observed points are mirrored to the hidden side.
+        iterations: How often gfpnet-paper loops its answer back; None is the paper's five.
         snake: Energies of gfs.
     """
 
@@ -55,7 +55,7 @@ class Deformed:
     """A deformed primitive.
 
     Attributes:
-        vertices: (v, 3) m, world; the primitive's connectivity, not folded, not crossing itself.
+        vertices: (v, 3) m, in the frame of the view; the primitive's connectivity, not folded, not crossing itself.
         sigma_m: (v,) standard deviation of the surface's position, m; NaN where the method does not tell.
         kept: Smallest share of its displacement that a vertex kept when the surface was held free of folds.
     """
@@ -76,42 +76,46 @@ def deform(fit: FittedPrimitive, view: LevelView, *, config: DeformConfig = Defo
     Returns:
         The deformed vertices in that frame.
     """
-    primitive = fit.primitive
-    vertices = primitive.shape(fit.coefficients, fit.scale)
-    unknown = np.full(len(vertices), np.nan)
     if config.method == "none":
-        return Deformed(fit.vertices_world(), unknown, 1.0)
+        return Deformed(fit.vertices_world(), np.full(len(fit.primitive.vertices), np.nan), 1.0)
+    vertices = fit.primitive.shape(fit.coefficients, fit.scale)
+    # The paper knows of no symmetry.
     template = template_points(fit, view, symmetry=config.symmetry and config.method != "gfpnet-paper")
-    sigma = unknown
     if config.method == "gfs":
-        displacement = (
-            evolve(
-                vertices,
-                primitive.faces,
-                template.points,
-                template.normals,
-                unit_m=patch_unit_m(primitive),
-                config=config.snake,
-            )
-            - vertices
-        )
+        displacement, sigma_m = _by_contour(fit, vertices, template, config.snake), np.full(len(vertices), np.nan)
     else:
-        here = None if view.viewpoint is None else apply_T(invert_T(fit.T_world_object), view.viewpoint)
-        patches = make_patches(primitive, vertices, template, here)
-        if config.method == "gfpnet":
-            offsets, log_sigma, field = _per_point(patches, fit)
-            displacement, weight = blend(patches, offsets, len(vertices))
-            displacement += field
-            sigma = _blend_sigma(patches, log_sigma, len(vertices))
-        else:
-            patches = patches.seeing()
-            if len(patches.index) == 0:
-                return Deformed(fit.vertices_world(), unknown, 1.0)
-            offsets = _pulled(patches, _paper(patches, config))
-            displacement, weight = blend(patches, offsets, len(vertices))
-        displacement = diffuse(primitive, displacement, np.minimum(weight, 1.0))
-    moved, kept = damp_until_solid(vertices, primitive.faces, displacement)
-    return Deformed(apply_T(fit.T_world_object, moved), sigma, kept)
+        viewpoint = None if view.viewpoint is None else apply_T(invert_T(fit.T_world_object), view.viewpoint)
+        patches = make_patches(fit.primitive, vertices, template, viewpoint)
+        told = _by_points(fit, patches) if config.method == "gfpnet" else _by_sets(fit, patches, config)
+        displacement, sigma_m = told
+    moved, kept = damp_until_solid(vertices, fit.primitive.faces, displacement)
+    return Deformed(apply_T(fit.T_world_object, moved), sigma_m, kept)
+
+
+def _by_contour(fit: FittedPrimitive, vertices: np.ndarray, template: TemplatePoints, snake: SnakeConfig) -> np.ndarray:
+    """Displacement (v, 3) m by the active contour."""
+    unit_m = patch_unit_m(fit.primitive)
+    drawn = evolve(vertices, fit.primitive.faces, template.points, template.normals, unit_m=unit_m, config=snake)
+    return drawn - vertices
+
+
+def _by_points(fit: FittedPrimitive, patches: Patches) -> tuple[np.ndarray, np.ndarray]:
+    """Displacement (v, 3) m and sigma (v,) m by the network that answers for each point."""
+    offsets, log_sigma, field = _per_point(patches, fit)
+    displacement, weight = blend(patches, offsets, len(field))
+    displacement = diffuse(fit.primitive, displacement + field, np.minimum(weight, 1.0))
+    return displacement, _blend_sigma(patches, log_sigma, len(field))
+
+
+def _by_sets(fit: FittedPrimitive, patches: Patches, config: DeformConfig) -> tuple[np.ndarray, np.ndarray]:
+    """Displacement (v, 3) m by one of the paper's networks, which does not tell sigma (v,): NaN."""
+    num_vertices = len(fit.primitive.vertices)
+    sigma_m, patches = np.full(num_vertices, np.nan), patches.seeing()
+    if len(patches.index) == 0:
+        return np.zeros((num_vertices, 3)), sigma_m
+    offsets = _offsets_to(_predicted_sets(patches, config), patches.source)
+    displacement, weight = blend(patches, offsets, num_vertices)
+    return diffuse(fit.primitive, displacement, np.minimum(weight, 1.0)), sigma_m
 
 
 def _per_point(patches: Patches, fit: FittedPrimitive) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -131,8 +135,8 @@ def _per_point(patches: Patches, fit: FittedPrimitive) -> tuple[np.ndarray, np.n
     return offset, log_sigma[0].double().numpy(), field
 
 
-def _paper(patches: Patches, config: DeformConfig) -> np.ndarray:
-    """The point sets MS (b, n, 3) that the paper's network predicts, patch units."""
+def _predicted_sets(patches: Patches, config: DeformConfig) -> np.ndarray:
+    """The point sets MS (b, n, 3) that one of the paper's networks predicts, patch units."""
     import torch
 
     from gfp_grasp.deform.gfpnet import load_network
@@ -161,14 +165,14 @@ def patch_tensors(patches: Patches):
     return tuple(torch.tensor(a, dtype=torch.float32) for a in arrays)
 
 
-def _pulled(patches: Patches, predicted: np.ndarray, *, neighbours: int = 8) -> np.ndarray:
-    """Offsets (b, n, 3) that pull each S to the predicted set, smoothed over neighbours of S.
+def _offsets_to(predicted: np.ndarray, sources: np.ndarray, *, neighbours: int = 8) -> np.ndarray:
+    """Offsets (b, n, 3) that lead each S (b, n, 3) to its predicted set (b, n, 3), smoothed over neighbours of S.
 
     The rows of the set have no tie to the rows of S (see gfpnet.py), so each point takes its nearest, and the mean
     over its neighbourhood keeps the surface from tearing.
     """
-    offsets = np.empty_like(patches.source)
-    for i, (source, points) in enumerate(zip(patches.source, predicted, strict=True)):
+    offsets = np.empty_like(sources)
+    for i, (source, points) in enumerate(zip(sources, predicted, strict=True)):
         nearest = points[KDTree(points).query(source)[1]] - source
         around = KDTree(source).query(source, k=min(neighbours, len(source)))[1]
         offsets[i] = nearest[around].mean(axis=1)
@@ -176,7 +180,7 @@ def _pulled(patches: Patches, predicted: np.ndarray, *, neighbours: int = 8) -> 
 
 
 def _blend_sigma(patches: Patches, log_sigma: np.ndarray, num_vertices: int) -> np.ndarray:
-    """(v,) m; NaN where no patch reaches."""
+    """Weighted mean (v,) m of what overlapping patches say in logarithms; NaN where no patch reaches."""
     flat = patches.index.ravel()
     total = np.bincount(flat, patches.weights.ravel(), minlength=num_vertices)
     mean = np.bincount(flat, (patches.weights * log_sigma).ravel(), minlength=num_vertices)

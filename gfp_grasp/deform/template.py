@@ -43,7 +43,7 @@ def template_points(fit: FittedPrimitive, view: LevelView, *, symmetry: bool = T
     Args:
         fit: Registered primitive.
         view: One object, in the frame of the fit.
-        symmetry: Carry points to the hidden side.
+        symmetry: Mirror points to the hidden side.
     """
     R, t = fit.T_world_object[:3, :3], fit.T_world_object[:3, 3]
     points, normals = (view.dense_points - t) @ R, view.dense_normals @ R
