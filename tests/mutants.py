@@ -25,6 +25,7 @@ import time
 from collections import Counter, defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -52,6 +53,7 @@ class Trial:
     tests: list[str] = field(default_factory=list)
     left_out: int = 0
     limit_s: float = 0.0
+    tried: bool = False
     noticed: bool = False
     by: str = ""
 
@@ -72,7 +74,9 @@ def main() -> None:
         records = _records(trees, options.package, options.tests, Path(folder))
         for trial in drawn:
             choose_tests(trial, trees[0], options.package, records, options)
-        _try_all(drawn, trees, Path(folder))
+        with contextlib.suppress(KeyboardInterrupt):  # what was tried until then is a sample as well
+            _try_all(random.Random(options.seed).sample(drawn, len(drawn)), trees, Path(folder))
+        drawn = [trial for trial in drawn if trial.tried]
     results = summary(drawn, options.seed, options.count)
     if options.json:
         options.json.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
@@ -143,7 +147,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", type=Path, help="write the results here")
     parser.add_argument("--tests", default="test_*.py", help="pattern of the test files that may be run")
-    parser.add_argument("--budget", type=float, default=60.0, help="seconds of tests a change may cost")
+    parser.add_argument("--budget", type=float, default=20.0, help="seconds of tests that a change may cost")
     parser.add_argument("--limit", type=float, default=20.0, help="seconds that a change may cost beyond its tests")
     parser.add_argument("--jobs", type=int, default=1, help="changes tried side by side")
     parser.add_argument("--root", type=Path, default=ROOT, help="project with the package and tests/")
@@ -253,18 +257,16 @@ def _records(trees: list[Path], package: str, pattern: str, scratch: Path) -> _R
         missing = [(f, k) for f, k in wanted if mutation_record.kept_record(trees[0], f, k, CACHE) is None]
         if missing:
             _say(f"recording what the tests of {len(missing)} files execute")
-        for n, (file, marker) in enumerate(missing):
-            place = scratch / f"record-{Path(file).stem}-{len(marker)}"
-            place.mkdir(exist_ok=True)
-            pid = _fork(
-                trees[0],
-                place / "log",
-                lambda f=file, k=marker, p=place: mutation_record.record(trees[0], package, f, k, CACHE, p),
-            )
-            begun = time.perf_counter()
-            os.waitpid(pid, 0)
-            _say(f"  {n + 1}/{len(missing)} {file} ({marker}) {time.perf_counter() - begun:.0f} s")
-            shutil.rmtree(place, ignore_errors=True)
+        waiting, running = list(reversed(missing)), {}
+        while waiting or running:
+            while waiting and len(running) < len(trees):
+                file, marker = waiting.pop()
+                place = scratch / f"record-{Path(file).stem}-{len(marker)}"
+                place.mkdir(exist_ok=True)
+                work = partial(mutation_record.record, trees[0], package, file, marker, CACHE, place)
+                running[_fork(trees[0], place / "log", work)] = file
+            pid, _ = os.wait()
+            _say(f"  {len(missing) - len(waiting) - len(running) + 1}/{len(missing)} {running.pop(pid)}")
 
     return _Records([f for f in files if fnmatch.fnmatch(Path(f).name, pattern)], package, trees[0], make)
 
@@ -301,6 +303,7 @@ def _places(change: Change, tree: Path, package: str) -> Iterator[tuple[str, int
 
 def _try_all(trials: list[Trial], trees: list[Path], scratch: Path) -> None:
     """Try the changes, as many side by side as there are copies."""
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
     waiting, running, done = list(reversed(trials)), {}, 0
     while waiting or running:
         for tree in trees:
@@ -398,6 +401,7 @@ def _kill(pid: int) -> None:
 
 
 def _tell(trial: Trial, done: int, total: int) -> None:
+    trial.tried = True
     change = trial.change
     word = "noticed " if trial.noticed else "survived"
     _say(f"{done}/{total} {word} {change.path}:{change.line} {change.before} -> {change.after} [{trial.by}]")
