@@ -13,7 +13,7 @@ INSTALLED_DEV := $(VENV)/.installed-dev
 # One thread of linear algebra in each test process: more of them fight over the cores.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 
-.PHONY: help demo test test-fast lint types wheel-check mutants quickstart clean
+.PHONY: help demo test test-fast lint types docs wheel-check mutants quickstart clean
 
 help:
 	@echo "make demo         run the demonstration into $(OUT)/ (open $(OUT)/index.html)"
@@ -21,6 +21,7 @@ help:
 	@echo "make test-fast    all tests but the slow ones"
 	@echo "make lint         ruff: rules and formatting"
 	@echo "make types        pyright"
+	@echo "make docs         build the site into $(OUT)/docs; a broken link fails"
 	@echo "make wheel-check  build wheel and sdist, compare with git, run the demo from the wheel in an empty folder"
 	@echo "make mutants      try COUNT small changes of the code and count what the tests notice (ROOMS=\"camera detect\" SEED=1)"
 	@echo "make quickstart   render again the capture that ships for the quick start"
@@ -40,6 +41,9 @@ lint: $(INSTALLED_DEV)
 
 types: $(INSTALLED_DEV)
 	$(PY) -m pyright --pythonpath $(PY)
+
+docs: $(INSTALLED_DEV)
+	$(PY) -m sphinx -W --keep-going -q -b html docs $(OUT)/docs
 
 wheel-check: $(INSTALLED_DEV)
 	$(PY) tests/wheel_check.py

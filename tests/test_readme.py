@@ -1,4 +1,4 @@
-"""The README's code runs, its commands exist with their options, and its links lead somewhere."""
+"""The code of README and docs runs, their commands exist with their options, and their links lead somewhere."""
 
 import os
 import re
@@ -9,28 +9,30 @@ from pathlib import Path
 import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
-README = (ROOT / "README.md").read_text(encoding="utf-8")
-COMMANDS = sorted(set(re.findall(r"^gfp-grasp .*$", README, re.MULTILINE)))
+PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").glob("*.md"))]
+TEXT = {page.name: page.read_text(encoding="utf-8") for page in PAGES}
+COMMANDS = sorted({line for text in TEXT.values() for line in re.findall(r"^gfp-grasp .*$", text, re.MULTILINE)})
 
 
-def blocks(language: str) -> list[str]:
+def _blocks(text: str, language: str) -> list[str]:
     """Code blocks of a language, in order."""
-    return re.findall(rf"^```{language}\n(.*?)^```", README, re.MULTILINE | re.DOTALL)
+    return re.findall(rf"^```{language}\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
 
 
 @pytest.mark.slow
-def test_python_of_the_readme_runs_as_one_program(tmp_path: Path) -> None:
-    program = tmp_path / "readme.py"
-    program.write_text("\n".join(blocks("python")), encoding="utf-8")
+@pytest.mark.parametrize("page", [name for name, text in TEXT.items() if _blocks(text, "python")])
+def test_python_of_a_page_runs_as_one_program(page: str, tmp_path: Path) -> None:
+    program = tmp_path / "page.py"
+    program.write_text("\n".join(_blocks(TEXT[page], "python")), encoding="utf-8")
     done = subprocess.run([sys.executable, program.name], cwd=tmp_path, capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
-    assert (tmp_path / "mug.glb").is_file()
-    assert (tmp_path / "mug.xml").is_file()
+    if page == "README.md":
+        assert (tmp_path / "mug.glb").is_file()
 
 
 @pytest.mark.slow
-def test_commands_of_the_readme_exist_with_their_options() -> None:
-    assert COMMANDS
+def test_commands_of_the_pages_exist_with_their_options() -> None:
+    assert len(COMMANDS) > 10
     help_of: dict[tuple[str, ...], str] = {}
     for command in COMMANDS:
         words = command.split()[1:]
@@ -44,16 +46,32 @@ def test_commands_of_the_readme_exist_with_their_options() -> None:
             assert option in help_of[key], f"{command}: {option}"
 
 
-def test_links_of_the_readme_lead_to_files_that_are_there() -> None:
-    for target in re.findall(r"\]\(([^)#]+)\)", README):
-        if not target.startswith("http"):
-            assert (ROOT / target).is_file(), target
+def test_links_lead_to_files_that_are_there() -> None:
+    for page in PAGES:
+        for target in re.findall(r"\]\(([^)#]+)\)", TEXT[page.name]):
+            if not target.startswith("http"):
+                assert (page.parent / target).resolve().is_file(), f"{page.name}: {target}"
 
 
-def test_make_targets_of_the_readme_exist() -> None:
+def test_files_of_results_that_the_pages_name_are_there() -> None:
+    named = {name for text in TEXT.values() for name in re.findall(r"results/[\w.]+\.(?:json|svg)", text)}
+    assert len(named) > 15
+    for name in named:
+        assert (ROOT / name).is_file(), name
+
+
+def test_readme_is_short_and_says_where_to_read_on() -> None:
+    readme = TEXT["README.md"]
+    assert len(readme.splitlines()) <= 150
+    for page in ("how_it_works", "recordings", "new_class", "own_parts", "environment", "results", "house"):
+        assert f"docs/{page}.md" in readme
+
+
+def test_make_targets_of_the_pages_exist() -> None:
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
-    for target in re.findall(r"^make ([\w-]+)", README, re.MULTILINE):
-        assert re.search(rf"^{target}:", makefile, re.MULTILINE), target
+    for text in TEXT.values():
+        for target in re.findall(r"^make ([\w-]+)", text, re.MULTILINE):
+            assert re.search(rf"^{target}:", makefile, re.MULTILINE), target
 
 
 def _wide() -> dict[str, str]:
