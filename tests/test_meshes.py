@@ -6,20 +6,31 @@ import numpy as np
 import pytest
 import real_data
 import trimesh
+from bodies import TURN, l_shape
 from toy_bodies import dense_laplacian, l_body
 
 from gfp_grasp.errors import InvalidMesh, InvalidOption, UnreadableFile
 from gfp_grasp.meshes import (
+    SUFFIXES,
     check_mesh,
+    crossing,
     crossing_faces,
+    every_suffix,
     graph_laplacian,
+    load,
     load_mesh,
     make_solid,
     neighbour_average,
+    remesh,
     sample_surface,
     vertex_normals,
 )
+from gfp_grasp.meshes.remesh import _level, remeshed
+from gfp_grasp.meshes.solid import _error_m, _joined
 from gfp_grasp.shapes import make_shape
+from gfp_grasp.transforms import make_T
+
+TILTED = make_T(TURN, (0.3, -0.2, 0.5))
 
 
 @pytest.mark.parametrize("suffix", ["obj", "stl", "ply", "glb", "off"])
@@ -197,6 +208,146 @@ def test_a_sheet_becomes_a_thin_wall_and_stays_open():
     assert solid.volume < 0.3 * pipe.volume
     assert not solid.contains([[0, 0, 0.0]])[0]
     assert 0 < error < 0.0015
+
+
+def test_samples_are_even_within_a_triangle():
+    triangle = trimesh.Trimesh([[0.3, 0, 0], [1.3, 0, 0.5], [0.3, 2, 1]], [[0, 1, 2]], process=False)
+    points = sample_surface(triangle, 40_000, np.random.default_rng(1))[0]
+    np.testing.assert_allclose(points.mean(axis=0), triangle.vertices.mean(axis=0), atol=0.01)
+    for corner in range(3):  # the quarter of the triangle at each corner
+        sides = np.delete(triangle.vertices, corner, axis=0) - triangle.vertices[corner]
+        share = np.linalg.lstsq(sides.T, (points - triangle.vertices[corner]).T, rcond=None)[0].sum(axis=0)
+        assert (share < 0.5).mean() == pytest.approx(0.25, abs=0.01)
+
+
+def test_a_large_face_counts_for_more_in_the_normal_of_a_vertex():
+    vertices = np.array([[0, 0, 0], [3, 0, 0], [0, 1, 0], [0, 0, 1.0]])
+    normals = vertex_normals(vertices, np.array([[0, 1, 2], [0, 2, 3]]))
+    expected = np.array([1.0, 0, 3]) / np.sqrt(10)
+    np.testing.assert_allclose(normals[[0, 2]], [expected, expected], atol=1e-12)
+    np.testing.assert_allclose(normals[[1, 3]], [[0, 0, 1], [1, 0, 0]], atol=1e-12)
+
+
+def test_a_file_that_is_too_large_is_not_read(tmp_path, monkeypatch):
+    monkeypatch.setattr(load, "LARGEST_BYTES", 1000)
+    trimesh.creation.icosphere(3).export(tmp_path / "large.ply")
+    with pytest.raises(UnreadableFile, match=r"large\.ply has \d{5,} bytes; 1 to 1000 are read"):
+        load_mesh(tmp_path / "large.ply")
+
+
+def test_suffixes_are_those_of_files_with_faces():
+    assert set(SUFFIXES) < set(every_suffix())
+    assert not {".xyz", ".stl_ascii"} & set(every_suffix())
+    assert list(every_suffix()) == sorted(every_suffix())
+
+
+@pytest.mark.parametrize(("extent_m", "is_legal"), [(9e5, True), (1.1e6, False)])
+def test_a_mesh_of_a_thousand_kilometres_has_stray_vertices_or_no_unit(extent_m: float, is_legal: bool):
+    mesh = trimesh.creation.box((1, 2, extent_m))
+    if is_legal:
+        assert check_mesh(mesh) is mesh
+    else:
+        with pytest.raises(InvalidMesh, match="stray"):
+            check_mesh(mesh)
+
+
+def test_a_thin_plate_is_not_flat_and_a_plane_is():
+    plate = trimesh.creation.box((0.1, 0.1, 1e-6)).apply_transform(TILTED)
+    assert check_mesh(plate) is plate
+    corners = np.array([[0, 0, 0], [0.1, 0, 0], [0, 0.2, 0], [0.1, 0.2, 0]]) @ TURN.T + TILTED[:3, 3]
+    plane = trimesh.Trimesh(corners, [[0, 1, 2], [1, 3, 2]], process=False)
+    with pytest.raises(InvalidMesh, match="flat"):
+        check_mesh(plane)
+
+
+@pytest.mark.parametrize(("gap", "are_joined"), [(3e-7, True), (3e-5, False)])
+def test_corners_that_nearly_coincide_are_joined(gap: float, are_joined: bool):
+    mesh = l_shape()
+    soup = np.array(mesh.triangles).reshape(-1, 3)
+    soup += np.random.default_rng(0).uniform(-0.5, 0.5, soup.shape) * gap * np.linalg.norm(mesh.extents)
+    joined = _joined(trimesh.Trimesh(soup, np.arange(len(soup)).reshape(-1, 3), process=False))
+    assert joined.is_volume is are_joined
+    assert (len(joined.vertices) == len(mesh.vertices)) is are_joined
+
+
+def test_needles_and_faces_told_twice_are_left_out():
+    mesh = l_shape()
+    faces = np.vstack([mesh.faces, mesh.faces[:3], mesh.faces[4:5, ::-1], [[0, 0, 1]], [[2, 2, 2]]])
+    solid, error = make_solid(trimesh.Trimesh(mesh.vertices, faces, process=False, validate=False))
+    assert len(solid.faces) == len(mesh.faces)
+    assert error == 0.0
+    assert solid.volume == pytest.approx(mesh.volume)
+
+
+@pytest.mark.parametrize("invert", [False, True])
+def test_an_arm_without_its_end_is_closed_where_it_was(invert: bool):
+    whole = l_shape()
+    ending = np.isclose(whole.triangles[:, :, 1], 0.06).all(axis=1)
+    assert 0.01 < whole.area_faces[ending].sum() / whole.area < 0.06
+    opened = trimesh.Trimesh(whole.vertices, whole.faces[~ending], process=False)
+    if invert:
+        opened.invert()
+    solid, error = make_solid(opened)
+    assert solid.volume == pytest.approx(whole.volume, rel=1e-5)
+    np.testing.assert_allclose(solid.bounds, whole.bounds, atol=1e-7)
+    assert error < 1e-6
+
+
+def test_two_bars_that_cross_are_one_l_of_known_volume():
+    bars = [trimesh.creation.box(bounds=[[0, 0, 0], [0.1, 0.02, 0.02]])]
+    bars.append(trimesh.creation.box(bounds=[[0.003, -0.01, 0.004], [0.018, 0.06, 0.015]]))
+    solid, error = make_solid(_together(bars).apply_transform(TILTED))
+    common = 0.015 * 0.02 * 0.011
+    assert solid.volume == pytest.approx(0.1 * 0.02 * 0.02 + 0.015 * 0.07 * 0.011 - common, rel=1e-4)
+    assert error < 1e-6
+
+
+def test_the_error_of_a_repair_is_the_largest_distance_of_what_was_not_swallowed():
+    given = trimesh.creation.box(bounds=[[0, 0, 0], [0.1, 0.06, 0.04]]).subdivide().subdivide()
+    shorter = trimesh.creation.box(bounds=[[0, 0, 0], [0.098, 0.06, 0.04]]).subdivide().subdivide()
+    assert _error_m(given, shorter, depth=0.0) == pytest.approx(0.002, rel=1e-6)
+    assert _error_m(shorter, given, depth=0.0) < 1e-9
+    assert _error_m(shorter, given, depth=0.003) == pytest.approx(0.002, rel=3e-3)
+
+
+def test_the_zero_level_of_a_distance_is_a_ball_that_looks_outward():
+    centre, radius = np.array([8.3, 9.1, 7.7]), 5.2
+    grid = np.stack(np.meshgrid(*[np.arange(18.0)] * 3, indexing="ij"), axis=-1)
+    vertices, faces = _level(np.linalg.norm(grid - centre, axis=-1) - radius)
+    ball = trimesh.Trimesh(vertices, faces, process=False)
+    assert ball.is_volume
+    assert ball.volume == pytest.approx(4 / 3 * np.pi * radius**3, rel=0.03)
+    np.testing.assert_allclose(np.linalg.norm(vertices - centre, axis=1), radius, atol=0.15)
+
+
+def test_what_is_sealed_becomes_solid_and_a_sheet_a_wall_of_two_cells(monkeypatch):
+    monkeypatch.setattr(remesh, "NUM_CELLS", 32)
+    ball = trimesh.creation.icosphere(subdivisions=3, radius=0.05).apply_translation([0.3, 0.1, 0.2])
+    sealed = remeshed(ball)
+    assert sealed.contains([[0.3, 0.1, 0.2]])[0]
+    assert 0.95 * ball.volume < sealed.volume < 4 / 3 * np.pi * (0.05 + 0.9 * 0.1 / 32) ** 3
+    corners = [[0, 0, 0], [0.1, 0, 0], [0, 0.1, 0], [0.1, 0.1, 1e-5]]
+    sheet = trimesh.Trimesh(corners, [[0, 1, 2], [1, 3, 2]], process=False)
+    cell = 0.1 / 32
+    wall = remeshed(sheet)
+    assert wall.is_volume
+    assert wall.extents[2] == pytest.approx(2 * 0.9 * cell, rel=0.15)
+
+
+def test_faces_far_apart_and_faces_of_every_size_are_searched_in_moments(monkeypatch):
+    monkeypatch.setattr(crossing, "_BATCH", 2000)
+    rng = np.random.default_rng(0)
+    small = trimesh.creation.icosphere(3, 0.01).apply_translation([0.4, 0.1, 0.2])
+    large = trimesh.Trimesh([[0, 0, 0.2], [1, 0, 0.2], [0, 1, 0.2]], [[0, 1, 2]], process=False)
+    both = _together([small, large])
+    shuffled = rng.permutation(len(both.faces))
+    found = crossing_faces(both.vertices, both.faces[shuffled])
+    z = small.triangles[:, :, 2]
+    assert {int(i) for i in shuffled[found].ravel()} - {len(small.faces)} == set(
+        np.flatnonzero((z.min(axis=1) < 0.2 - 1e-9) & (z.max(axis=1) > 0.2 + 1e-9))
+    )
+    assert (found[:, 0] < found[:, 1]).all()
+    assert (np.lexsort((found[:, 1], found[:, 0])) == np.arange(len(found))).all()
 
 
 @pytest.mark.slow

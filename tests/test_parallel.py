@@ -12,6 +12,7 @@ import pytest
 
 from gfp_grasp.errors import InvalidOption, WorkerLost
 from gfp_grasp.parallel import ATTEMPTS, pmap
+from gfp_grasp.parallel import jobs as parallel_jobs
 
 HAS_RAY = importlib.util.find_spec("ray") is not None
 
@@ -58,6 +59,14 @@ def killed_once(job: tuple[int, str]) -> int:
     return square(number)
 
 
+def signs_in_and_is_killed(job: tuple[int, str]) -> int:
+    number, folder = job
+    if number == 3:
+        (Path(folder) / f"died_{os.getpid()}").touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    return square(number)
+
+
 def always_killed(number: int) -> int:
     if number == 3:
         os.kill(os.getpid(), signal.SIGKILL)
@@ -80,10 +89,24 @@ def test_results_come_in_the_order_of_the_jobs_and_are_kept_as_they_come(workers
             watched.append(result)
             yield result
 
-    found = pmap(square, range(5), workers=workers, progress=watch, keep=lambda job, result: kept.append((job, result)))
-    assert found == [0, 1, 4, 9, 16]
+    jobs = range(3, 8)
+    found = pmap(square, jobs, workers=workers, progress=watch, keep=lambda job, result: kept.append((job, result)))
+    assert found == [9, 16, 25, 36, 49]
     assert sorted(watched) == found
-    assert sorted(kept) == list(enumerate(found))
+    assert sorted(kept) == list(zip(jobs, found, strict=True))
+
+
+def test_results_that_come_out_of_order_are_put_in_order(monkeypatch):
+    def backwards(function, jobs, workers, lost):
+        assert workers == os.cpu_count()
+        return ((number, function(jobs[number])) for number in reversed(range(len(jobs))))
+
+    monkeypatch.setattr(os, "cpu_count", lambda: 7)
+    monkeypatch.setattr(parallel_jobs, "over_processes", backwards)
+    kept = []
+    found = pmap(square, [2, 5, 3], workers=0, keep=lambda job, result: kept.append((job, result)))
+    assert found == [4, 25, 9]
+    assert kept == [(3, 9), (5, 25), (2, 4)]
 
 
 def test_the_job_of_a_killed_worker_is_done_again(tmp_path):
@@ -103,12 +126,14 @@ def test_no_worker_outlives_an_owner_that_is_killed(tmp_path):
     assert _within_seconds(20, lambda: not any(map(_is_running, workers)))
 
 
-def test_a_job_that_kills_every_worker_costs_no_other_its_result():
+def test_a_job_that_kills_every_worker_costs_no_other_its_result(tmp_path):
     kept = []
     with pytest.raises(WorkerLost, match=rf"{ATTEMPTS} processes died under 3"):
         pmap(always_killed, [3, *range(10, 14)], workers=2, keep=lambda job, _: kept.append(job))
-    found = pmap(always_killed, range(6), workers=2, lost=lambda job, error: -job)
+    jobs = [(number, str(tmp_path)) for number in range(6)]
+    found = pmap(signs_in_and_is_killed, jobs, workers=2, lost=lambda job, error: -job[0])
     assert found == [0, 1, 4, -3, 16, 25]
+    assert len(list(tmp_path.glob("died_*"))) == 1 + ATTEMPTS  # once among others, then alone
 
 
 @pytest.mark.parametrize("workers", [1, 2])
