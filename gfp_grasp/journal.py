@@ -13,13 +13,13 @@ from gfp_grasp.errors import CannotWrite, InvalidOption
 
 
 class Journal:
-    """A file of results, one a line, under a line that tells what they were made with.
+    """A file of results, one in each line, below a line with the settings that they were made with.
 
-    A line that was cut short when its run was stopped is left out, and written anew.
+    A last line that is incomplete, because its run was stopped, is removed.
 
     Attributes:
         path: The file.
-        records: What it held when it was opened.
+        records: The results that the file held when it was opened.
 
     Raises:
         InvalidOption: The file holds results of other settings, or something else.
@@ -49,7 +49,7 @@ class Journal:
         self._append(json.dumps(record, allow_nan=False))
 
     def _whole_lines(self) -> list[str]:
-        """What is in the file, after the end of it that is no whole line is cut off."""
+        """Complete lines of the file; an incomplete last line is removed from it."""
         if not self.path.exists():
             return []
         try:
@@ -85,7 +85,7 @@ class Journal:
 
 
 def write_whole(path: str | Path, text: str) -> None:
-    """Write a file so that there is all of it or what was there before.
+    """Write a file completely, or leave what was there before.
 
     Raises:
         CannotWrite: There is no room, no right, or no such place.

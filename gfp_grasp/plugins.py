@@ -15,11 +15,11 @@ def imported_function(
     """The function that `package.module:function` names.
 
     Args:
-        name: Of the function.
-        what: It is meant to be, for messages.
+        name: "package.module:function".
+        what: What the function is meant to be, for messages.
         of: What it is a function of, for messages.
         on_offer: Names that need no import, for messages.
-        error: Raised, with a message that lists what is legal, where there is no such function.
+        error: Type of the error that is raised where there is no such function; its message lists what is legal.
     """
     module_name, colon, function_name = name.partition(":")
     legal = f"{on_offer}, or package.module:function"

@@ -1,4 +1,4 @@
-"""Whether what fits into a hollow thing still fits between its convex parts."""
+"""The largest ball that fits into a hollow mesh, and whether it still fits between the convex parts."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ _HOLDERS = 64
 
 
 def widest_gap(mesh: trimesh.Trimesh, *, seed: int = 0) -> np.ndarray | None:
-    """Centre (3,) m of a large ball that lies within a mesh's convex hull but outside of the mesh, as in a cup.
+    """Centre of a large ball outside a mesh whose centre lies within the mesh's convex hull, as in a cup.
 
     Args:
         mesh: Watertight, m.
         seed: Chooses the places that are tried.
 
     Returns:
-        None where no ball has a radius of more than a fortieth of the mesh's diagonal.
+        (3,) m; None where no ball has a radius of more than a fortieth of the mesh's diagonal.
     """
     rng = np.random.default_rng(seed)
     try:
@@ -46,10 +46,10 @@ def widest_gap(mesh: trimesh.Trimesh, *, seed: int = 0) -> np.ndarray | None:
 
 
 def barycentric_hold(point: np.ndarray, vertices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Vertices around a point, and weights that sum to one, with which it moves when they do.
+    """Vertices around a point, and the weights with which the point follows them.
 
     Returns:
-        Index (n,) and weights (n,).
+        Indices (n,) and weights (n,), which sum to one.
     """
     distance = np.linalg.norm(vertices - point, axis=1)
     near = np.flatnonzero(distance < _AROUND * distance.min())

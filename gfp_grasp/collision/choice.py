@@ -20,10 +20,10 @@ from gfp_grasp.collision.parts import PartFaces, diagonal_m, volume_m3
 from gfp_grasp.errors import DecompositionFailed, InvalidMesh
 from gfp_grasp.types import CollisionMesh, CompletedShape, GenericPrimitive
 
-# Mean error of deformed parts over the diagonal, beyond which CoACD is worth its time. A mug's parts deformed through a
-# bulge of a fifth of its radius stay below 0.01.
+# CoACD is worth its time where the mean error of deformed parts exceeds this share of the diagonal. A mug's parts that
+# follow a bulge of a fifth of its radius stay below 0.01.
 _ERROR_LIMIT = 0.01
-# And the share of the ball that fits into the mesh which must fit between the parts.
+# The largest ball that fits into the mesh must fit between the parts with at least this share of its radius.
 _CLEARANCE_LEFT = 0.8
 # The hull of a convex mesh adds nothing but rounding to its volume.
 _CONVEX_EXCESS = 1e-3
@@ -38,21 +38,22 @@ _gaps: WeakKeyDictionary[GenericPrimitive, tuple[np.ndarray, np.ndarray] | None]
 def collision_of(shape: CompletedShape, *, config: CollisionConfig = CollisionConfig()) -> CollisionMesh:
     """Convex parts of a completed shape, within a budget.
 
-    The primitive's parts are deformed with it where the mesh has the vertices of the primitive or of a variant; a
-    convex mesh is its own hull; else CoACD runs. It runs too where deformed parts miss their bound: the
-    config's tolerance or else 1 % of the diagonal on average, and four fifths of the ball that fits into a hollow
-    thing. Of two that miss it the better one is given. What misses it comes with a warning that tells the figures.
+    Where the mesh has the vertices of its primitive or of a variant, the primitive's parts are deformed with it. A
+    convex mesh is its own hull. For any other mesh CoACD runs. CoACD also runs where deformed parts miss their bound,
+    which is the config's tolerance, or else 1 % of the diagonal on average; and four fifths of the ball that fits into
+    a hollow mesh must fit between the parts. If CoACD's parts miss the bound too, the better parts of the two are
+    returned, with a warning that tells the figures.
 
     Args:
-        shape: Its mesh in any frame; the parts come in the same.
-        config: Budget.
+        shape: The completed shape; its mesh may be in any frame, and the parts come in the same frame.
+        config: The budget.
 
     Returns:
-        The parts with their two-sided error. `notes` of deformed ones: level (of the primitive's tree of merges),
-        deforming_s, dropped (slivers), volume_ratio and union_volume_ratio (of the parts over the mesh's, overlaps
-        counted as often as they are, or once), ball_m and ball_left_m (radius of a ball that fits into the mesh, and
-        of that which fits between the parts at the same place), where there is room for one. CoACD's, where deformed
-        parts gave way to them, have the ball as well.
+        The parts with their two-sided error. The `notes` of deformed parts hold level (number of parts before slivers
+        were dropped), deforming_s, dropped (slivers), volume_ratio and union_volume_ratio (volume of the parts over the
+        mesh's, where overlaps count each time or once), and for a hollow mesh ball_m and ball_left_m (radius of the
+        largest ball that fits into the mesh, and of the one that fits between the parts at the same place). CoACD's
+        parts that replace deformed ones have the ball in their notes as well.
 
     Raises:
         InvalidMesh: The mesh is flat or too small for MuJoCo.
@@ -74,7 +75,7 @@ def _is_convex(mesh: trimesh.Trimesh) -> bool:
 
 
 def _deformed(shape: CompletedShape, config: CollisionConfig) -> CollisionMesh | None:
-    """None where there is no primitive with parts whose vertices these could be."""
+    """The primitive's parts deformed with the shape; None where no primitive with parts has the mesh's vertices."""
     if shape.fit is None:
         return None
     vertices = np.asarray(shape.mesh.vertices)
@@ -107,7 +108,7 @@ def _levels(primitive: GenericPrimitive, vertices: np.ndarray, config: Collision
         enough_m = errors_m[most - 1] + _NEXT_TO_NOTHING * diagonal_m(primitive.vertices)
         worse = np.flatnonzero((errors_m[:most] > enough_m).any(axis=1))
         return [int(worse[-1]) + 2 if len(worse) else 1]
-    # What is larger than the template is off by more.
+    # The error of a level grows with the shape.
     growth = diagonal_m(vertices) / diagonal_m(primitive.vertices)
     enough = np.flatnonzero(errors_m[:most, 1] * growth <= config.tolerance_m)
     tried = [1 + int(enough[0])] if len(enough) else [most]
@@ -136,7 +137,7 @@ def _measured(primitive: GenericPrimitive, mesh: trimesh.Trimesh, level: int, co
 
 
 def _ball(primitive: GenericPrimitive, mesh: trimesh.Trimesh, faces: PartFaces) -> dict[str, object]:
-    """Notes of the ball in a completed primitive; none where it has no gap that is worth the name."""
+    """Notes of the ball that fits into a completed primitive; none where the primitive is not hollow."""
     if primitive not in _gaps:
         centre = widest_gap(trimesh.Trimesh(primitive.vertices, primitive.faces, process=False))
         _gaps[primitive] = None if centre is None else barycentric_hold(centre, primitive.vertices)
@@ -165,7 +166,7 @@ def _clearance(found: CollisionMesh) -> float:
 
 
 def _decomposed_or(deformed: CollisionMesh, shape: CompletedShape, config: CollisionConfig) -> CollisionMesh:
-    """CoACD's parts where they are truer to the mesh than the deformed ones."""
+    """CoACD's parts where they are nearer to the mesh than the deformed ones; else the deformed ones."""
     assert shape.fit is not None
     try:
         fresh = decompose(shape.mesh, config=_as_coacd(config))

@@ -44,35 +44,35 @@ class DecomposeConfig:
 
     Source: https://github.com/SarahWeiii/CoACD (Wei et al., SIGGRAPH 2022).
 
-    V-HACD 4 (https://github.com/kmammou/v-hacd) heeds max_convex_hull, decimate, max_ch_vertex, vhacd_resolution and
-    the limits, and nothing else of these.
+    V-HACD 4 (https://github.com/kmammou/v-hacd) uses max_convex_hull, decimate, max_ch_vertex, vhacd_resolution and
+    the limits only.
 
     Attributes:
-        threshold: Concavity that a part may keep, 0.01 to 1, as a share of the mesh scaled into a cube of half-width 1;
-            metres under real_metric. Smaller means more parts.
+        threshold: Concavity that a part may keep, 0.01 to 1, where the mesh is scaled into a cube of half-width 1;
+            metres if real_metric is set. A smaller threshold gives more parts.
         max_convex_hull: Most parts, by merging; -1 for no limit, which with V-HACD is its own 64.
         preprocess_mode: "off" has CoACD take the mesh as it is (`decompose` has made a manifold of it), "on" has CoACD
             remesh it, which inflates thin walls; "auto" is "off" at first, and "on" when that has failed thrice.
-        preprocess_resolution: Of the remeshing, 20 to 100.
+        preprocess_resolution: Resolution of the remeshing, 20 to 100.
         resolution: Samples for the distance between surface and hull, 1000 to 10000.
         mcts_nodes: Cutting planes a level of the tree search, 10 to 40.
-        mcts_iterations: Of the tree search, 60 to 2000.
-        mcts_max_depth: Of the tree search, 2 to 7.
+        mcts_iterations: Iterations of the tree search, 60 to 2000.
+        mcts_max_depth: Depth of the tree search, 2 to 7.
         pca: Turn the mesh to its principal axes first.
         merge: Merge parts after cutting.
         decimate: Limit the vertices of each part to max_ch_vertex.
         max_ch_vertex: Most vertices a part, at least 4; only with decimate. V-HACD keeps to 64 without it.
         extrude: Thicken neighbouring parts along their common faces.
-        extrude_margin: How far, in the same unit as threshold; only with extrude.
+        extrude_margin: Distance of that thickening, in the unit of threshold; only with extrude.
         apx_mode: Parts are convex hulls ("ch") or boxes ("box").
-        seed: Of the search.
+        seed: Seed of the search.
         real_metric: threshold is in metres.
         time_limit_s: Seconds for the repair and all attempts together; a repair that takes longer (a soup of triangles
             can need 15 s) is not cut short, but no attempt follows it.
         memory_limit_mb: Address space of the child process in MiB; POSIX only, None for no limit.
-        attempts: How often to try before giving up: as it is, with jitter, then coarser.
-        engine: "coacd", or "vhacd" (an extra of this package), whose time hangs on vhacd_resolution.
-        vhacd_resolution: Voxels that V-HACD sees the mesh by, 10 000 to 10 000 000.
+        attempts: Largest number of attempts: the first as asked, the second with jitter, the others coarser.
+        engine: "coacd", or "vhacd" (an extra of this package), whose time depends on vhacd_resolution.
+        vhacd_resolution: Number of voxels in which V-HACD holds the mesh, 10 000 to 10 000 000.
         cache: Keep the parts on disk, and take them from there when the same is asked again; see `store`.
     """
 

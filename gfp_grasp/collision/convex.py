@@ -34,7 +34,7 @@ def convex_part(points: np.ndarray, *, max_vertices: int | None = None) -> Conve
 def convex_parts(
     clouds: Iterable[np.ndarray], *, max_vertices: int | None = None
 ) -> tuple[tuple[ConvexPart, ...], int]:
-    """Hulls of many point sets, and how many were dropped as slivers."""
+    """Hulls of many point sets (n, 3) m, and how many of them were dropped as slivers."""
     hulls = []
     for points in clouds:
         centre = points.mean(axis=0)
@@ -47,7 +47,7 @@ def convex_parts(
 
 
 def _sound(hulls: Sequence[tuple[np.ndarray, np.ndarray, np.ndarray]]) -> tuple[ConvexPart, ...]:
-    """Of hulls (corners, faces, centre), those that MuJoCo compiles; all at once, as each of them is small."""
+    """The parts of those hulls (corners, faces, centre) that MuJoCo compiles. One pass, because each hull is small."""
     if not hulls:
         return ()
     triangles = np.concatenate([corners[faces] for corners, faces, _ in hulls])
@@ -92,10 +92,10 @@ def _planes(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def needed_corners(points: np.ndarray, tolerance_m: float) -> np.ndarray:
-    """Which few of (n, 3) points in m have a hull that all others are in, or out of by at most a tolerance.
+    """A few of (n, 3) points in m whose hull holds all others, or misses them by at most a tolerance.
 
     Returns:
-        Index (k,), ascending; all of them where they are flat or less than MuJoCo takes.
+        Indices (k,), ascending; those of all points where their hull is flat or smaller than MuJoCo accepts.
     """
     centred = points - points.mean(axis=0)
     kept = np.unique((centred @ _WAYS.T).argmax(axis=0))
@@ -126,18 +126,18 @@ def _hull(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 
 
 def fewer_corners(corners: np.ndarray, count: int) -> np.ndarray:
-    """Corners of a hull that keep as much of it as so few can, about.
+    """A given number of corners that keep much of a hull's volume.
 
     Args:
-        corners: (n, 3) m, all of the hull, not in one plane.
-        count: At least 4, less than n.
+        corners: (n, 3) m, all corners of the hull, not in one plane.
+        count: Number of corners to keep; at least 4, less than n.
 
     Returns:
-        (count, 3) of them, in their order.
+        (count, 3) m, the corners that are kept, in their order.
     """
     centred = corners - corners.mean(axis=0)
-    # The farthest in even directions, of which some are the same; then those that are so in most of many directions,
-    # which means that the hull bends much there.
+    # First come the corners that are farthest in evenly spread directions. Several directions may share a corner; then
+    # come those that are farthest in most of many directions, where the hull bends most.
     chosen = list(dict.fromkeys((_directions(count) @ centred.T).argmax(axis=1).tolist()))
     many = np.bincount((_directions(_MANY * count) @ centred.T).argmax(axis=1), minlength=len(corners))
     many[chosen] = -1

@@ -30,7 +30,7 @@ _BALANCE = 0.1  # of two cuts that save alike, the more even one
 
 
 def cut_parts(mesh: trimesh.Trimesh, *, concavity_m: float = 0.001, max_parts: int = 96) -> CollisionMesh:
-    """Split a volume by planes: the most concave piece next, where its pieces' hulls shrink the most.
+    """Split a volume by planes. The most concave piece is cut next, by the plane that shrinks its hulls the most.
 
     Args:
         mesh: Watertight volume, m, z up.
@@ -39,7 +39,8 @@ def cut_parts(mesh: trimesh.Trimesh, *, concavity_m: float = 0.001, max_parts: i
         max_parts: Most parts; cutting stops there.
 
     Returns:
-        The parts; in `notes` the concavity_m that is left and volume_ratio, the summed volume over the mesh's.
+        The parts. Their `notes` hold concavity_m, the largest that is left, and volume_ratio, the summed volume of the
+        parts over that of the mesh.
 
     Raises:
         InvalidMesh: The mesh is not a volume.

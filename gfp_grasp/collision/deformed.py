@@ -1,9 +1,9 @@
-"""A template's convex parts carried along with its deformation, and hulled again in milliseconds.
+"""Convex parts of a primitive, deformed with its surface and hulled again in milliseconds.
 
-Part vertices are bound to the template's surface once: CoACD cuts a surface without moving it, so that nearly all of
-them lie on it, and a point on a triangle goes where the triangle goes. One map moves all parts, so neighbours stay
-neighbours. Vertices of the template within a part are carried with it: where the surface bulges, the part bulges too.
-Of all these, only the corners that the part needs on the template.
+The vertices of the parts are bound to the primitive's surface once. CoACD cuts a surface without moving it, so nearly
+all of these vertices lie on the surface, and a point on a triangle moves with the triangle. One map moves all parts, so
+neighbours stay neighbours. A part also takes along the primitive's vertices that lie within it: where the surface
+bulges, the part bulges too. Only the corners that a part needs on the undeformed primitive are kept.
 """
 
 from __future__ import annotations
@@ -34,13 +34,13 @@ _SPACING = 1 / 40  # 5 mm
 
 @dataclass(frozen=True, eq=False)
 class _Binding:
-    """How the p carried points of all parts hang on v vertices.
+    """How the p points of all parts move with v vertices.
 
     Attributes:
-        weights: (p, v), rows sum to one: the foot of each point.
-        corners: (p, 3) vertices of the triangle below each.
-        height_m: (p,) above that triangle, along its normal.
-        edge_m: (p,) size of that triangle on the template.
+        weights: (p, v), rows sum to one; they give the foot of each point on the surface.
+        corners: (p, 3) vertices of the triangle below each point.
+        height_m: (p,) height of each point above that triangle, along the normal.
+        edge_m: (p,) size of that triangle on the undeformed primitive.
         ends: (parts,) where the points of each part end.
     """
 
@@ -51,14 +51,14 @@ class _Binding:
     ends: np.ndarray
 
     def moved(self, vertices: np.ndarray) -> list[np.ndarray]:
-        """Where the points of each part (n, 3) m have gone with the vertices (v, 3) m."""
+        """Points of each part (n, 3) m after the vertices have moved to (v, 3) m."""
         normals, edge = _frames(vertices[self.corners])
-        # What floats above the surface scales with the triangle below it.
+        # The height above the surface scales with the triangle below.
         height = self.height_m * edge / np.maximum(self.edge_m, 1e-12)
         return np.split(self.weights @ vertices + normals * height[:, None], self.ends[:-1])
 
 
-# By number of parts.
+# Bindings of a primitive by the number of its parts.
 _bindings: WeakKeyDictionary[GenericPrimitive, dict[int, _Binding]] = WeakKeyDictionary()
 
 
@@ -72,18 +72,18 @@ def deform_parts(
     """Convex parts of a deformed primitive.
 
     Args:
-        primitive: With parts; a variant of it stands in where the vertices are the variant's.
-        deformed_local: (v, 3) m, where its vertices (or a variant's) have gone. Any frame will do, the world's too: the
-            parts come in the same.
-        count: So many of the primitive's parts are left, the others merged with their neighbours; None for all.
-        max_vertices: Most vertices a part; None for no limit.
+        primitive: A primitive with parts; its variant is used where the vertices are the variant's.
+        deformed_local: (v, 3) m, the vertices of the primitive or of a variant after the deformation, in any frame; the
+            parts come in the same frame.
+        count: Number of parts to which the primitive's parts are merged; None for all of them.
+        max_vertices: Largest number of vertices of a part; None for no limit.
 
     Returns:
         The parts that MuJoCo compiles, in the primitive's order.
 
     Raises:
         InvalidMesh: The primitive has no parts, the vertices are not its own or not finite, or nothing solid is left.
-        InvalidOption: Less than one part, or than four vertices.
+        InvalidOption: count is below one, or max_vertices below four.
     """
     if (count is not None and count < 1) or (max_vertices is not None and max_vertices < 4):
         raise InvalidOption(f"{count} parts of {max_vertices} vertices; at least one of four is expected")
@@ -97,7 +97,7 @@ def deform_parts(
     clouds = _binding(primitive, most if count is None else min(count, most)).moved(vertices)
     parts, dropped = convex_parts(clouds, max_vertices=max_vertices)
     if not parts:
-        raise InvalidMesh(f"all {dropped} carried parts are flat: the deformation has flattened the primitive")
+        raise InvalidMesh(f"all {dropped} deformed parts are flat: the deformation has flattened the primitive")
     return parts
 
 

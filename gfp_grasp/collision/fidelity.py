@@ -13,12 +13,12 @@ from scipy.spatial import KDTree
 from gfp_grasp.collision.parts import PartFaces, area_vectors, diagonal_m, lengths, six_volumes
 from gfp_grasp.types import ConvexPart
 
-# Faces on which two parts meet are no surface of the union. They are told by a step outward that lands in the
-# neighbour; it is a share of the diagonal, and bridges the hairline cracks that carrying opens.
+# Faces on which two parts meet are no surface of the union: a step outward from them ends in the neighbour. The step is
+# a share of the diagonal, and bridges the hairline cracks that a deformation opens.
 _STEP = 2e-3
 _NEIGHBOURS = 8
 _MORE_NEIGHBOURS = 64
-# Fewer on the parts, and the triangle that is nearest may not be among those of the nearest anchors.
+# With fewer anchors on the parts, the nearest triangle may not be among those of the nearest anchors.
 _LEAST_ANCHORS = 2000
 _R2 = (0.7548776662466927, 0.5698402909980532)
 
@@ -63,7 +63,17 @@ def union_error_m(
 def volume_ratios(
     parts: Sequence[ConvexPart] | PartFaces, mesh: trimesh.Trimesh, *, count: int = 4000, rng: np.random.Generator
 ) -> tuple[float, float]:
-    """Volume of the parts over the mesh's: their sum, and their union (by the mean of 1 / overlaps of count places)."""
+    """Volume of the parts over that of the mesh.
+
+    Args:
+        parts: Convex parts, m, or their faces where they are at hand.
+        mesh: Watertight, in the same frame.
+        count: Number of random places at which overlaps are counted.
+        rng: Source of these places.
+
+    Returns:
+        Ratio of the summed volume, and of the volume of the union (the mean of 1 / overlaps over the places).
+    """
     faces = parts if isinstance(parts, PartFaces) else PartFaces.of(parts)
     apex = faces.triangles[faces.bounds[:-1], 0]
     corners = faces.triangles - apex[faces.owner][:, None]

@@ -24,12 +24,12 @@ _MOST_VERTICES = 96
 
 @dataclass(frozen=True, eq=False)
 class PartLevels:
-    """Parts of one mesh, as many as there are at the finest level, p.
+    """Parts of one mesh at the finest level, and how they are merged into fewer.
 
     Attributes:
-        parts: Of the finest level.
+        parts: The p parts of the finest level.
         merges: (p - 1, 2) as `merge_tree` returns them.
-        errors_m: (p, 2) m, mean and 95 % distance between the mesh and its parts where 1 .. p are left.
+        errors_m: (p, 2) m, mean and 95 % distance between the mesh and the parts of the levels of 1 to p parts.
     """
 
     parts: tuple[ConvexPart, ...]
@@ -50,15 +50,15 @@ def levels_of(parts: tuple[ConvexPart, ...], mesh: trimesh.Trimesh) -> PartLevel
 
 
 def merge_tree(parts: Sequence[ConvexPart]) -> np.ndarray:
-    """Which parts become one first, for any number of parts that are to be left.
+    """The order in which parts are merged, from which every number of parts can be had.
 
-    Always those two are merged whose joint hull adds the least volume to their own.
+    Each merge takes the two parts whose joint hull adds the least volume to their own volumes.
 
     Args:
         parts: p convex parts, m.
 
     Returns:
-        (p - 1, 2) numbers of the parts that are merged, in that order; what the i-th merge makes is number p + i.
+        (p - 1, 2) numbers of the parts that each merge joins; the part that the i-th merge makes has number p + i.
     """
     clouds = {i: np.asarray(part.vertices) for i, part in enumerate(parts)}
     volumes = {i: _volume_m3(cloud) for i, cloud in clouds.items()}
@@ -96,12 +96,12 @@ def merge_tree(parts: Sequence[ConvexPart]) -> np.ndarray:
 
 
 def groups_of(merges: np.ndarray, num_parts: int, count: int) -> list[list[int]]:
-    """Parts that belong together where count of them are left.
+    """Groups of the finest parts that make up the parts of one level.
 
     Args:
-        merges: As `merge_tree` returns them.
-        num_parts: p, of the finest level.
-        count: How many are wanted; between 1 and p are given.
+        merges: (p - 1, 2), from `merge_tree`.
+        num_parts: p, the number of parts at the finest level.
+        count: Number of groups; less than 1 is taken as 1, more than p as p.
 
     Returns:
         Numbers of the finest parts in each group, groups in the order of their first parts.

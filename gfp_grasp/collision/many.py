@@ -16,7 +16,7 @@ from gfp_grasp.collision.engines.guard import CancelSign
 from gfp_grasp.errors import GfpGraspError, InvalidOption
 from gfp_grasp.types import CollisionMesh
 
-# What is left to a thread after it has been called off: it may be in the midst of a repair, which hears nothing.
+# How long a cancelled thread is waited for: it may be repairing a mesh, which cannot be interrupted.
 _PATIENCE_S = 5.0
 
 
@@ -95,7 +95,7 @@ def _work(jobs: SimpleQueue, config: DecomposeConfig, stop: _Stop) -> None:
 
 
 class _Stop:
-    """Set when the stream has been closed, or when the caller's own sign is."""
+    """A sign that is set when the stream has been closed or the caller's own sign is set."""
 
     def __init__(self, cancel: CancelSign | None) -> None:
         self.called_off = threading.Event()

@@ -1,8 +1,9 @@
-"""Convex parts kept on disk, each under the hash of all that they depend on: an engine takes seconds to minutes.
+"""A cache of convex parts on disk, each under the hash of all that they depend on: an engine takes up to minutes.
 
-The folder is that of the environment variable GFP_GRASP_CACHE ("off" for none), else one in the user's cache folder.
-It holds at most LARGEST_BYTES; what was asked for longest ago goes first. Several processes may share it: a file is
-written aside and moved into its place, and one that is torn, foreign or gone is as if it had never been.
+The environment variable GFP_GRASP_CACHE names the folder ("off" for no cache); without it, the folder lies in that of
+the user's caches. It holds at most LARGEST_BYTES, and the parts that were read longest ago are removed first. Several
+processes may share it: a file is written under another name and then moved into its place. A file that is torn, foreign
+or gone counts as absent.
 """
 
 from __future__ import annotations
@@ -57,7 +58,7 @@ _warned: set[str] = set()
 
 
 def decomposition_key(mesh: trimesh.Trimesh, config: DecomposeConfig) -> str:
-    """Of vertices, faces, all options, the engine and its version: 64 hexadecimal digits."""
+    """Hash of vertices, faces, all options, the engine and its version: 64 hexadecimal digits."""
     options = {name: value for name, value in asdict(config).items() if name != "cache"}
     try:
         wheel = version(_WHEELS[config.engine])
@@ -71,12 +72,12 @@ def decomposition_key(mesh: trimesh.Trimesh, config: DecomposeConfig) -> str:
 
 
 def key_of(text: str) -> str:
-    """The key of whatever else has been put into words: 64 hexadecimal digits."""
+    """Key for parts of another maker, from a text that says what they depend on: 64 hexadecimal digits."""
     return hashlib.sha256(f"{_FORMAT}/{text}".encode()).hexdigest()
 
 
 def read_parts(key: str) -> CollisionMesh | None:
-    """What is kept under a key; None where nothing usable is."""
+    """The parts under a key; None where the cache has none, or none that can be used."""
     folder = cache_folder()
     if folder is None:
         return None
@@ -87,12 +88,12 @@ def read_parts(key: str) -> CollisionMesh | None:
     except _BROKEN:
         return None
     with suppress(OSError):
-        os.utime(path)  # asked for now: others go first
+        os.utime(path)  # it was read now: others are removed first
     return found
 
 
 def write_parts(key: str, collision: CollisionMesh) -> None:
-    """Keep parts under a key; where nothing can be written, a warning, once a folder, is all that comes of it."""
+    """Keep parts under a key. Where the folder cannot be written, a warning is given, once for each folder."""
     folder = cache_folder()
     if folder is None:
         return
@@ -121,7 +122,7 @@ def write_parts(key: str, collision: CollisionMesh) -> None:
 
 
 def cache_folder() -> Path | None:
-    """Where parts are kept; None where nothing shall be, or nobody knows where the user is at home."""
+    """Folder of the cache; None where it is turned off or the user's home folder is unknown."""
     chosen = os.environ.get(CACHE_VARIABLE, "")
     if chosen.lower() == "off":
         return None
@@ -157,7 +158,7 @@ def _plain(value: object) -> object:
 
 
 def _unpacked(key: str, file: Mapping[str, np.ndarray]) -> CollisionMesh | None:
-    """None where a file of the right form is not the one that was asked for, or its parts cannot be."""
+    """The parts in a file; None where the file belongs to another key or holds no parts."""
     meta = json.loads(str(file["meta"]))
     if meta["key"] != key:
         return None
@@ -170,7 +171,7 @@ def _unpacked(key: str, file: Mapping[str, np.ndarray]) -> CollisionMesh | None:
 
 
 def _make_room(folder: Path) -> None:
-    """Remove what was asked for longest ago, and what a killed process left half written."""
+    """Remove the files that were read longest ago, and those that a killed process left half written."""
     kept, now = [], time.time()
     for entry in os.scandir(folder):
         if not _OURS.fullmatch(entry.name):

@@ -44,11 +44,11 @@ def load_mesh(path: str | Path, *, suffixes: Sequence[str] = SUFFIXES) -> trimes
 
     Args:
         path: OBJ, STL, PLY, GLB or OFF file, in metres as stored.
-        suffixes: Those that are read; see every_suffix for more.
+        suffixes: Suffixes that are accepted; see every_suffix for more.
 
     Raises:
-        UnreadableFile: Not there, of another suffix, or not what its suffix says.
-        InvalidMesh: It reads, but holds no usable triangles.
+        UnreadableFile: The file is absent, has another suffix, or is not what its suffix says.
+        InvalidMesh: The file can be read, but holds no usable triangles.
     """
     path = Path(path)
     if path.suffix.lower() not in suffixes:
@@ -66,7 +66,7 @@ def load_mesh(path: str | Path, *, suffixes: Sequence[str] = SUFFIXES) -> trimes
 
 
 def every_suffix() -> tuple[str, ...]:
-    """Suffixes of all mesh files that the installed trimesh reads; some need packages that it does not bring along."""
+    """Suffixes of all mesh files that the installed trimesh reads; some need packages that trimesh does not install."""
     names = set(mesh_formats()) - {"stl_ascii", "xyz"}  # no suffix, and points without faces
     return tuple(sorted({f".{name}" for name in names} | set(SUFFIXES)))
 

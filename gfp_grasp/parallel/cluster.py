@@ -27,10 +27,10 @@ def over_cluster(
     Ray, on another node if need be.
 
     Args:
-        function: Of one job; importable by name on every node.
+        function: A function of one job; importable by name on every node.
         jobs: Picklable.
         address: "auto" for the cluster that this machine belongs to, or host:port of its head.
-        lost: As `pmap` takes it.
+        lost: Makes the result of a job whose process died ATTEMPTS times; None raises WorkerLost.
 
     Raises:
         InvalidOption: Ray is not installed, or there is no cluster at that address.

@@ -30,7 +30,7 @@ def pmap(
     A process that dies under a job (killed, or out of memory) is replaced, and what it had not finished is done again.
 
     Args:
-        function: Of one job; importable by name where it runs in another process.
+        function: A function of one job; importable by name where it runs in another process.
         jobs: Picklable where they run in another process.
         workers: Processes; 1 runs in this one, 0 means one a core. It says nothing to a cluster.
         ray: Address of a Ray cluster to run on instead, or "auto" for the one that this machine belongs to.

@@ -17,7 +17,7 @@ Job = TypeVar("Job")
 Result = TypeVar("Result")
 # Makes the result of a job whose process died ATTEMPTS times.
 Lost = Callable[[Any, WorkerLost], Any]
-# A job that takes its process along so often, when it is alone in it, is given up.
+# A job that has killed its own process so many times is given up.
 ATTEMPTS = 3
 
 
@@ -29,10 +29,10 @@ def over_processes(
     A process that dies under a job is replaced, and what it had not finished is done again.
 
     Args:
-        function: Of one job; importable by name.
+        function: A function of one job; importable by name.
         jobs: Picklable.
-        workers: Processes.
-        lost: As `pmap` takes it.
+        workers: Number of processes.
+        lost: Makes the result of a job whose process died ATTEMPTS times; None raises WorkerLost.
 
     Raises:
         WorkerLost: A job's process died ATTEMPTS times, and no `lost` was given.
@@ -44,8 +44,8 @@ def over_processes(
                 del waiting[number]
                 yield number, result
         except BrokenProcessPool:
-            # A pool takes jobs in their order, one more than it has processes. Any of these may be the death of it, and
-            # goes by itself, so that a bad one takes no other along.
+            # A pool takes jobs in their order, one more than it has processes. Any of these may have killed it, so each
+            # of them runs in a process of its own, where it can take no other job along.
             for number in list(waiting)[: workers + 1]:
                 yield number, _alone(function, waiting.pop(number), lost)
 
@@ -62,7 +62,7 @@ def _pooled(function: Callable[[Job], Result], jobs: Mapping[int, Job], workers:
 
 
 def _end_with_parent() -> None:
-    """A pool whose owner was killed would wait for jobs for ever, each process with all of its memory."""
+    """End this process when its parent has ended: it would wait for jobs for ever and keep its memory."""
     parent = parent_process()
     if parent is None:
         return
@@ -82,10 +82,10 @@ def _alone(function: Callable[[Job], Result], job: Job, lost: Lost | None) -> Re
 
 
 def given_up(job: object, lost: Lost | None) -> Any:
-    """The result of a job that no process survived.
+    """The result that `lost` makes of a job that no process survived.
 
     Raises:
-        WorkerLost: Nobody makes one.
+        WorkerLost: `lost` is None.
     """
     error = WorkerLost(
         f"{ATTEMPTS} processes died under {job!r}, killed or out of memory: try fewer workers, or leave it out"
