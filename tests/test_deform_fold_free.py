@@ -75,3 +75,15 @@ def test_a_wish_that_is_wild_everywhere_is_halved_everywhere_and_says_by_how_muc
     share = np.linalg.norm(moved - vertices, axis=1) / np.linalg.norm(wild, axis=1)
     assert kept == pytest.approx(share.min())
     assert 0 < kept < 0.5
+
+
+@pytest.mark.parametrize(("spread_m", "factor"), [(0.05, 0.5), (0.1, 0.25), (0.2, 0.1), (0.4, 0.0)])
+def test_where_five_halvings_do_not_help_all_of_it_is_damped_together(spread_m, factor):
+    body = l_body(0.012)
+    vertices, faces = np.asarray(body.vertices), np.asarray(body.faces)
+    wild = np.random.default_rng(0).normal(0, spread_m, vertices.shape)
+    moved, kept = damp_until_solid(vertices, faces, wild)
+    assert len(crossing_faces(moved, faces)) == 0
+    share = np.linalg.norm(moved - vertices, axis=1) / np.linalg.norm(wild, axis=1)
+    assert kept == pytest.approx(factor * 0.5**5)
+    assert share.min() == pytest.approx(kept, abs=1e-12)
