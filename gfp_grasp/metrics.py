@@ -41,8 +41,8 @@ def completion_errors(
     Args:
         mesh: Completed mesh, or points (n, 3) m that are compared as they are, in the frame of the truth.
         truth: True mesh.
-        rng: Source of the samples.
-        count: Samples of each surface.
+        rng: Draws the samples.
+        count: Number of samples of each surface.
 
     Raises:
         InvalidCloud: Points of a wrong shape, or too few for a hull.
@@ -61,7 +61,7 @@ def chamfer_m(a: np.ndarray, b: np.ndarray) -> float:
         b: (m, 3) m.
 
     Raises:
-        InvalidCloud: Empty, not finite, or of another shape.
+        InvalidCloud: A set is empty, not finite, or of another shape.
 
     Source:
         GFPNet, equation 2.
@@ -76,10 +76,10 @@ def f_score(a: np.ndarray, b: np.ndarray, threshold_m: float = 0.005) -> float:
     Args:
         a: (n, 3) m.
         b: (m, 3) m.
-        threshold_m: What is near, m.
+        threshold_m: Points within this distance are near, m.
 
     Raises:
-        InvalidCloud: Empty, not finite, or of another shape.
+        InvalidCloud: A set is empty, not finite, or of another shape.
         InvalidOption: The threshold is not positive.
     """
     if not threshold_m > 0:
@@ -117,19 +117,19 @@ def iou(mesh_a: trimesh.Trimesh, mesh_b: trimesh.Trimesh) -> float:
 def visible_surface(mesh: trimesh.Trimesh, count: int, rng: np.random.Generator) -> np.ndarray:
     """Uniform samples of the surface that can be seen from outside or through an opening.
 
-    A sample is seen if one of 64 rays over its outward hemisphere leaves without a hit: the inside of an open cup
-    counts, the void in a closed shell does not. Of an open sheet both sides are looked at.
+    A sample is seen if one of 64 rays over its outward hemisphere leaves without a hit: the inside of an open vessel
+    counts, the void in a closed shell does not. Both sides of an open sheet are looked at.
 
     Args:
         mesh: Triangle mesh.
-        count: Samples to return.
-        rng: Source of randomness.
+        count: Number of samples.
+        rng: Draws the samples.
 
     Returns:
         (count, 3) m.
 
     Raises:
-        InvalidMesh: No area, or nothing of it can be seen.
+        InvalidMesh: The mesh has no area, or nothing of it can be seen.
     """
     caster = RayMeshIntersector(mesh)
     two_sided, lift = not mesh.is_volume, _LIFT_OFF * float(np.linalg.norm(mesh.extents))
@@ -150,7 +150,10 @@ def visible_surface(mesh: trimesh.Trimesh, count: int, rng: np.random.Generator)
 def _escapes(
     caster: RayMeshIntersector, points: np.ndarray, normals: np.ndarray, lift: float, rng: np.random.Generator
 ) -> np.ndarray:
-    """Whether any ray of the hemisphere around each normal leaves; most leave at the first, so rounds grow."""
+    """Whether any ray of the hemisphere around each normal leaves: (n,) bool.
+
+    Most samples escape by their first ray, so the rays are cast in rounds that grow.
+    """
     frames = _frames(normals, rng.uniform(0, 2 * np.pi, len(points)))
     origins, directions = points + lift * normals, _hemisphere(_NUM_DIRECTIONS)
     hidden, start = np.arange(len(points)), 0

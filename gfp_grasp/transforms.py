@@ -6,19 +6,17 @@ from scipy.spatial.transform import Rotation
 
 # OpenGL and MuJoCo cameras look along -z with y up; OpenCV's look along +z with y down.
 FLIP_YZ = np.diag([1.0, -1.0, -1.0, 1.0])
-
-
-# What float32 and rounded text leave of a rotation, and less than a tenth of a degree.
+# Tolerance of R @ R.T: rotations in float32 or rounded text pass; a tenth of a degree of shear does not.
 _RIGID = 1e-3
 
 
 def is_rotation(R: np.ndarray) -> bool:
-    """Whether a finite (3, 3) matrix turns only: no scale, no shear, no mirror."""
+    """Whether a finite (3, 3) matrix only turns: it has no scale, no shear and no mirror."""
     return bool(np.allclose(R @ R.T, np.eye(3), atol=_RIGID) and np.linalg.det(R) > 0)
 
 
 def make_T(R: ArrayLike | None = None, t: ArrayLike | None = None) -> np.ndarray:
-    """(4, 4) transform of a (3, 3) rotation and a (3,) translation, either of which may be left out."""
+    """(4, 4) transform of a (3, 3) rotation and a (3,) translation; each of them may be left out."""
     T = np.eye(4)
     if R is not None:
         T[:3, :3] = R
@@ -64,7 +62,7 @@ def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) 
 
 
 def rotation_about(axis: ArrayLike, angle_rad: float) -> np.ndarray:
-    """(3, 3) rotation by an angle about an axis."""
+    """(3, 3) rotation by an angle about an axis (3,) of any length but zero."""
     axis = np.asarray(axis, dtype=np.float64)
     return Rotation.from_rotvec(axis / np.linalg.norm(axis) * angle_rad).as_matrix()
 

@@ -94,6 +94,22 @@ def test_offsets_of_the_patches_are_blended_and_diffused_along_the_patches_norma
     assert along[wall] == pytest.approx(np.full(wall.sum(), step), rel=0.35)
 
 
+@pytest.mark.parametrize("method", ["gfpnet", "gfpnet-paper"])
+def test_a_vertex_is_as_sure_as_the_patches_that_hold_it_weigh_but_no_surer_than_one(monkeypatch, fit, view, method):
+    """All patches answer, those as well that see nothing."""
+    vertices = fit.primitive.shape(fit.coefficients, fit.scale)
+    answer_per_point(monkeypatch, (0, 0, 0))
+    Answering(monkeypatch, lambda source, template: source)
+    told = []
+    monkeypatch.setattr(methods, "diffuse", lambda primitive, wished, sure: told.append(sure) or wished)
+    monkeypatch.setattr(methods.Patches, "seeing", lambda patches: patches)
+    deform(fit, view, config=DeformConfig(method=method))
+    index, weights = patch_layout(fit.primitive)
+    total = np.bincount(index.ravel(), weights.ravel(), minlength=len(vertices))
+    assert total.max() > 2
+    assert told[0] == pytest.approx(np.minimum(total, 1.0))
+
+
 def test_an_offset_of_one_point_is_believed_up_to_a_fifteenth_of_the_unit(monkeypatch, fit, view):
     """The default network's own answer, as it is and ten thousand times as large."""
     real = networks.load_network("patch")

@@ -1,4 +1,4 @@
-"""From wished displacements to a mesh that is still a solid."""
+"""Displacements that leave a solid: spread over the mesh, and damped where the surface would fold."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def damp_until_solid(vertices: np.ndarray, faces: np.ndarray, displacement: np.n
             return moved, float(share.min())
         near = np.zeros(len(vertices))
         near[faces[bad].ravel()] = 1.0
-        for _ in range(3):  # a soft hole, or the damping itself would make a step
+        for _ in range(3):  # the damping fades out over three rings: an edge of its own would fold the surface
             near = np.maximum(near, 0.7 * (average @ near))
         share *= 1.0 - 0.5 * np.minimum(near, 1.0)
     for factor in (0.5, 0.25, 0.1, 0.0):

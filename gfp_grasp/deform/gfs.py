@@ -1,7 +1,7 @@
 """Generic Fitted Shapes: a primitive as an active contour that is drawn onto points along its normals.
 
-The internal energy is elastic and bending energy of the displacement from the fitted shape, not of the shape itself:
-a rim and a 2 mm wall are sharp by right and must not be smoothed away. The external energy pulls each vertex along
+The internal energy is that of the displacement from the fitted shape, elastic and bending, not of the shape itself:
+rims and thin walls are sharp and must stay so. The external energy pulls each vertex along
 its normal to the nearest point whose normal agrees. One step is semi-implicit (Kass, Witkin and Terzopoulos, "Snakes:
 Active contour models", IJCV 1988, eq. 19-20). Source of the method: Cocias et al., "Generic Fitted Shapes (GFS)",
 Robotics and Autonomous Systems 2013.
@@ -35,7 +35,7 @@ class SnakeConfig:
         pull: Weight of the external energy.
         reach: A vertex with no agreeing point within this is not pulled; in units of `patch_unit_m`.
         tangential: Share of the pull that acts along the surface too.
-        smooth: Points whose mean draws one vertex.
+        smooth: How many nearest points draw a vertex, by their mean.
     """
 
     steps: int = 12

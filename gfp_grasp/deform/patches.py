@@ -75,8 +75,8 @@ def make_patches(
     normals = vertex_normals(vertices, primitive.faces)
     centre, axis = vertices[index[:, 0]], normals[index[:, 0]]
     frames = _frames(axis)
-    # Walls apart: a template point belongs to a patch only if its normal agrees with the patch's. Of more than M near
-    # ones some are drawn, always the same, so that T covers what S covers.
+    # Normals count like distances, which keeps opposite walls apart. Where more than M points are near, some are drawn,
+    # always the same ones, so that T covers what S covers.
     drawn = np.random.default_rng(0).permutation(len(template.points))
     tree = KDTree(np.hstack([template.points, unit_m * template.normals])[drawn])
     reach = np.linalg.norm(vertices[index] - centre[:, None], axis=2).max(axis=1)
@@ -112,7 +112,7 @@ def blend(patches: Patches, moved: np.ndarray, num_vertices: int) -> tuple[np.nd
         num_vertices: v.
 
     Returns:
-        Displacement (v, 3) m in the primitive's frame, zero where no patch reaches, and total weight (v,).
+        Displacement (v, 3) m in the primitive's frame, zero where no patch reaches, and the total weight (v,).
     """
     world = np.einsum("bnj,bij->bni", moved, patches.frames) * patches.unit_m
     flat = patches.index.ravel()
@@ -141,7 +141,7 @@ def _residuals(vertices: np.ndarray, normals: np.ndarray, template: TemplatePoin
             near = np.reshape(tree.query(np.hstack([vertices, unit_m * normals]), k=count)[1], (-1, count))
             gap = points[near] - vertices[:, None]
             agrees = np.einsum("vi,vki->vk", normals, facing[near]) > _MIN_NORMAL_COSINE
-            # Over the plane of each point, so that a point beside the vertex says as much as one on it.
+            # The height over the plane of each point: a point beside the vertex says as much as one above it.
             height = np.einsum("vki,vki->vk", gap, facing[near]) * agrees
             few = np.cumsum(agrees, axis=1) <= 4
             distance = np.where(agrees, np.linalg.norm(gap, axis=2), np.inf).min(axis=1)

@@ -11,8 +11,8 @@ from gfp_grasp.deform.layout import patch_unit_m
 from gfp_grasp.meshes import vertex_normals
 from gfp_grasp.types import FittedPrimitive, GenericPrimitive, LevelView
 
-# A mirrored point speaks only where nothing was observed, and near the fit: elsewhere the symmetry is broken. Both in
-# units of `patch_unit_m`.
+# A mirrored point is kept where it is at least this far from all observed points, and at most this far from the fit,
+# beyond which the symmetry is broken; in units of `patch_unit_m`.
 _SILENT = 0.2
 _PLAUSIBLE = 0.4
 # A part stands beside the axis when its centre is this far away from it; share of the diagonal.
@@ -119,6 +119,6 @@ def _vertex_spacing(surface: KDTree) -> float:
 def _outward(
     points: np.ndarray, normals: np.ndarray, vertices: np.ndarray, surface: KDTree, faces: np.ndarray
 ) -> np.ndarray:
-    """Signs of normals from the fit, where no viewpoint tells them."""
+    """Normals (n, 3) with the signs of the fit, where no viewpoint tells them."""
     fitted = vertex_normals(vertices, faces)[surface.query(points)[1]]
     return np.where(np.einsum("ni,ni->n", fitted, normals)[:, None] < 0, -normals, normals)
