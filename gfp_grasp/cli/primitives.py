@@ -42,12 +42,12 @@ def build(
     meshes: Annotated[Path | None, typer.Option(help="Folder of its meshes; left out, its procedural shapes.")] = None,
     folder: Annotated[Path, typer.Option("--out", help="Folder of the .safetensors, .ply and .json.")] = Path("gps"),
     orientation: Annotated[str, typer.Option(help="What is known of a folder's meshes: placed, upright, any.")] = "any",
-    licence: Annotated[str, typer.Option(help="Of a folder's meshes, for the card.")] = "",
+    licence: Annotated[str, typer.Option(help="Licence of a folder's meshes, for the card.")] = "",
     spec: Annotated[
         Path | None,
         typer.Option(exists=True, dir_okay=False, help="JSON of what is known of the class, for its card."),
     ] = None,
-    limit: Annotated[int, typer.Option(min=1, help="So many procedural shapes.")] = 120,
+    limit: Annotated[int, typer.Option(min=1, help="Number of procedural shapes.")] = 120,
     seed: Seed = 0,
 ) -> None:
     """Build the primitive of any class from a set of its meshes, and measure it on some that are held out."""

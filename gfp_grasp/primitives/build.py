@@ -48,7 +48,7 @@ class BuildConfig:
         min_members: Fewer than this in the end is a failure.
         symmetry_share: Share of the members that must have a symmetry for the class to have it.
         parts: Whether the mean is decomposed into convex parts.
-        licence: Of the meshes.
+        licence: Licence of the meshes, for the card.
     """
 
     orientation: Literal["placed", "upright", "any"] = "placed"

@@ -26,7 +26,7 @@ class CorrespondenceConfig:
     Attributes:
         stiff: Length over which the displacement is smooth in the first step.
         soft: The same in the last step.
-        steps: From stiff to soft, geometrically.
+        steps: Number of lengths from stiff to soft, in geometric order.
         rounds: Matchings for each step.
         normal_weight: Length that a unit difference of normals counts as, when matching, in the first step; the last
             step uses half of it.

@@ -57,9 +57,9 @@ def measure_primitive(
     Generalization and specificity as in Davies, Twining and Taylor, Statistical Models of Shape, 2008, chapter 9.
 
     Args:
-        primitive: To be measured.
+        primitive: The primitive that is measured.
         held_out: Complete, upright members of its class, at least one.
-        seed: For samples and drawn shapes.
+        seed: Seed of samples and drawn shapes.
         progress: Wraps the stream of fits, told how many there will be.
 
     Raises:

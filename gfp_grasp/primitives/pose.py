@@ -35,7 +35,7 @@ def bring_into_one_pose(
     Args:
         members: Closed, any size.
         orientation: "placed" leaves them alone; "upright" turns about z only; "any" turns freely.
-        rng: For samples and the choice of the member that the others are turned onto.
+        rng: Draws samples, and chooses the member that the others are turned onto.
         reference: What they are turned onto instead: the mean of a class, in its frame.
 
     Returns:

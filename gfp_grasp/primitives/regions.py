@@ -94,7 +94,7 @@ def detect_symmetry(
 
     Args:
         meshes: Members in the primitive's frame; one is enough.
-        rng: For the samples that are turned.
+        rng: Draws the samples that are turned.
         tolerance: Mean distance of the turned surface from the surface, as a share of the diagonal.
         share: Share of the members that must have it.
 

@@ -55,7 +55,7 @@ def remesh(
 
     Args:
         mesh: A closed volume, m.
-        rng: For the samples onto which vertices are projected.
+        rng: Draws the samples onto which vertices are projected.
         config: How fine.
 
     Raises:

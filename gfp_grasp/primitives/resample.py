@@ -55,7 +55,7 @@ def resample(
     Args:
         shapes: (m, v, 3) m; the first is the mean, the others what its modes make of it.
         faces: (f, 3), closed.
-        rng: For the samples that measure the error.
+        rng: Draws the samples that measure the error.
         config: How far.
 
     Returns:

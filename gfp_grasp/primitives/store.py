@@ -119,7 +119,7 @@ def _spec_of(card: dict, path: Path) -> CategorySpec:
 
 
 def _shape_sha256(primitive: GenericPrimitive) -> str:
-    """Of mean, faces and modes, as they are stored."""
+    """Digest of mean, faces and modes as they are stored."""
     digest = hashlib.sha256(np.ascontiguousarray(primitive.vertices).tobytes())
     digest.update(np.ascontiguousarray(primitive.faces).tobytes())
     digest.update(np.ascontiguousarray(primitive.modes, dtype=np.float32).tobytes())

@@ -23,7 +23,7 @@ def choose_template(members: Sequence[trimesh.Trimesh], rng: np.random.Generator
 
     Args:
         members: Closed, in one orientation.
-        rng: For candidates and samples.
+        rng: Chooses candidates and draws samples.
         num_candidates: As many are compared with each other.
     """
     commonest = Counter(int(member.euler_number) for member in members).most_common(1)[0][0]

@@ -105,7 +105,7 @@ class GenericPrimitive:
         part_errors_m: (p, 2) m, mean and 95 % distance between the mean mesh and its parts where 1 .. p are left; or
             empty.
         variants: The same body without some of its optional parts, for each set of parts that it may lack.
-        licence: Of the meshes it was built from.
+        licence: Licence of the meshes it was built from.
         card: How it was built: command, seed, data, metrics.
         spec: What is known of the class beside its shape; None makes the default from the arrays above.
         prototypes: (p, c) float32 embeddings of the members by which the classifier knows the class; (0, 0) for none.
