@@ -59,14 +59,10 @@ PAST_FACES = {
 NAME_CLASSES = {
     "bench/detection.py",
     "captures/read.py",
-    "cli/terminal.py",
-    "cli/show.py",
-    "complete.py",
     "deform/gfpnet.py",
     "examples/learn.py",
     "train/classifier.py",
     "train/classifier_data.py",
-    "view/episodes.py",
 }
 MAY_NAME_CLASSES = ("shapes", "datasets", "demo")
 
