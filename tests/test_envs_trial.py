@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import trimesh
 
+from gfp_grasp.bench.trial import creep_mps
 from gfp_grasp.envs import TrialSettings, run_trial
-from gfp_grasp.envs.creep import creep_mps
 from gfp_grasp.errors import InvalidOption, InvalidScene
 from gfp_grasp.grasps.gripper import Gripper
 from gfp_grasp.scenes import SceneObject, World, build_scene, compile_scene

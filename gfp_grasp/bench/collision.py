@@ -4,6 +4,9 @@ Objects are completed from one view, and the same completed mesh is given to eve
 along, CoACD afresh, V-HACD, and the hull. The scans of a folder are decomposed as they are, too.
 """
 
+# MuJoCo's names come from compiled modules, into which the type checker does not see.
+# pyright: reportAttributeAccessIssue=false
+
 from __future__ import annotations
 
 import time
@@ -13,6 +16,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
+import mujoco
 import numpy as np
 import trimesh
 
@@ -21,11 +25,10 @@ from gfp_grasp.bench.views import procedural_classes, view_object
 from gfp_grasp.collision import DecomposeConfig, collision_of, decompose, hull, union_error_m, within_parts
 from gfp_grasp.complete import complete_to_mesh
 from gfp_grasp.completion import Completion
-from gfp_grasp.envs.pace import held_steps_per_s
 from gfp_grasp.errors import GfpGraspError, InvalidOption
 from gfp_grasp.grasps import plan_grasps
 from gfp_grasp.parallel import pmap
-from gfp_grasp.scenes import ObjectSource, label_of, load_objects
+from gfp_grasp.scenes import TARGET, Handles, ObjectSource, SceneObject, World, label_of, load_objects
 from gfp_grasp.types import CollisionMesh, ConvexPart, Grasp
 
 _ENGINES = {
@@ -34,6 +37,7 @@ _ENGINES = {
     "vhacd": DecomposeConfig(engine="vhacd", max_convex_hull=64, cache=False),
 }
 METHODS = ("carried", *_ENGINES, "hull")
+_MASS_KG, _FRICTION = 0.2, 0.8
 _INSIDE = 40_000  # places that the intersection over union is counted on
 
 
@@ -182,6 +186,24 @@ def _measure(
         "iou": round(_iou(found.parts, mesh, rng), 4),
         "steps_per_s": held_steps_per_s(found.parts, grasps[0]) if len(grasps) else None,
     }
+
+
+def held_steps_per_s(parts: tuple[ConvexPart, ...], grasp: Grasp, *, steps: int = 400) -> float:
+    """Steps a second of MuJoCo with the jaws of a gripper closed on convex parts.
+
+    Args:
+        parts: Convex parts, world frame, above a table at z = 0 or lifted onto it.
+        grasp: Grasp at which the jaws close, world frame.
+        steps: Number of steps for closing, and of those that are timed.
+    """
+    world = World([SceneObject.of_parts(parts, _MASS_KG, _FRICTION)])
+    handles = Handles.of(world, TARGET)
+    handles.place(grasp.T_world_gripper, grasp.width_m + 0.01)
+    handles.set_opening(0.0)
+    mujoco.mj_step(world.model, world.data, steps)
+    start = time.perf_counter()
+    mujoco.mj_step(world.model, world.data, steps)
+    return round(steps / (time.perf_counter() - start), 1)
 
 
 def _iou(parts: Sequence[ConvexPart], mesh: trimesh.Trimesh, rng: np.random.Generator) -> float:

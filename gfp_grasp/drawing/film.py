@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 
 from gfp_grasp.envs import TrialSettings, run_trial, shade
-from gfp_grasp.scenes import World
+from gfp_grasp.scenes import TARGET, World
 from gfp_grasp.transforms import look_at, rotation_about
 from gfp_grasp.types import Grasp, Outcome
 
@@ -27,7 +27,7 @@ def filmed_trial(
     grasp: Grasp,
     settings: TrialSettings | None = None,
     *,
-    target: str,
+    target: str = TARGET,
     alone: bool,
     commands_a_frame: int = _COMMANDS_A_FRAME,
 ) -> tuple[Outcome, list[np.ndarray]]:

@@ -4,18 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from itertools import islice
 from pathlib import Path
 
+import numpy as np
 from PIL import Image
 
 from gfp_grasp.drawing import filmed_trial, overlay, spoken, write_clip
-from gfp_grasp.envs import GfpGraspEnv
+from gfp_grasp.envs import EnvConfig, Episode, GraspTask
 from gfp_grasp.errors import CannotWrite, GfpGraspError, InvalidOption
+<<<<<<< HEAD
 from gfp_grasp.grasps import get_planner
 from gfp_grasp.parallel import Progress
 from gfp_grasp.scenes import TARGET, load_objects
+=======
+from gfp_grasp.scenes import load_objects
+>>>>>>> 8bde661 (A score tries grasps by the task that the environment has; creep and pace belong to the bench of trials)
 from gfp_grasp.score.report import Report, ScoreRow, method_names
+from gfp_grasp.score.rows import as_step, best_grasps
 from gfp_grasp.types import Grasp
 
 ORACLE = "oracle"
@@ -135,27 +140,27 @@ def make_exhibits(
 def _made_again(
     rows: Sequence[ScoreRow], report: Report, directory: Path, objects: str, split: str, numbers: dict[str, int]
 ) -> Iterator[Exhibit]:
-    envs: dict[str, GfpGraspEnv] = {}
+    tasks: dict[str, GraspTask] = {}
     for place, row in enumerate(rows, start=1):
         name, _ = method_names(row.completer)
-        if name not in envs:
+        if name not in tasks:
             clutter = int(str(report.settings.get("clutter", 0)))
-            envs[name] = GfpGraspEnv(objects=objects, split=split, clutter=clutter, completer=name)
-        yield _exhibit(row, envs[name], numbers[row.object], report, directory / f"failure-{place}")
+            tasks[name] = GraspTask(EnvConfig(objects=objects, split=split, clutter=clutter, completer=name))
+        yield _exhibit(row, tasks[name], numbers[row.object], report, directory / f"failure-{place}")
 
 
-def _exhibit(row: ScoreRow, env: GfpGraspEnv, number: int, report: Report, stem: Path) -> Exhibit:
-    env.reset(seed=row.episode_seed, options={"object": number})
-    picture = stem.with_suffix(".png")
+def _exhibit(row: ScoreRow, task: GraspTask, number: int, report: Report, stem: Path) -> Exhibit:
+    episode = task.draw(np.random.default_rng(row.episode_seed), number=number)
+    picture, clip = stem.with_suffix(".png"), stem.with_suffix(".gif")
     try:
-        _write_picture(env, picture)
+        _write_picture(episode, picture)
         if row.quality is None:
             return Exhibit(row, picture.name, note=row.note or "there was no grasp to try")
-        grasp = _best_grasp(env, row, report)
-        if grasp is None:
+        num, seed = (int(str(report.settings[name])) for name in ("grasps", "seed"))
+        found = () if episode.completion is None else best_grasps(episode.completion, row.completer, num, seed)[0]
+        if not found:
             return Exhibit(row, picture.name, note="made again, there was no grasp to try")
-        clip = stem.with_suffix(".gif")
-        reason = _film(env, grasp, clip)
+        reason = _film(task, as_step(found[0]), clip)
     except CannotWrite:
         raise
     except OSError as error:
@@ -170,34 +175,18 @@ def _exhibit(row: ScoreRow, env: GfpGraspEnv, number: int, report: Report, stem:
     )
 
 
-def _write_picture(env: GfpGraspEnv, path: Path) -> None:
-    episode = env.episode
+def _write_picture(episode: Episode, path: Path) -> None:
     completed = None if episode.completion is None else episode.completion.mesh
     picture = overlay(episode.true_mesh(), completed, seen_from=episode.image.T_world_camera[:3, 3])
     Image.fromarray(picture).save(path, optimize=True)
 
 
-def _best_grasp(env: GfpGraspEnv, row: ScoreRow, report: Report) -> Grasp | None:
-    """The grasp as it was tried for the score: the code of an action rounds it."""
-    if env.completion is None:
-        return None
-    _, name = method_names(row.completer)
-    num, seed = int(str(report.settings["grasps"])), int(str(report.settings["seed"]))
-    grasp = next(islice(get_planner(name)(env.completion, num, seed=seed), num), None)
-    return None if grasp is None else env.action_code.decode(env.action_code.encode(grasp))
-
-
-def _film(env: GfpGraspEnv, grasp: Grasp, path: Path) -> str:
+def _film(task: GraspTask, grasp: Grasp, path: Path) -> str:
     """Write the clip; returns the reason for which the trial ended."""
-    world = env.world
-    assert world is not None, "the true world is always there after a reset"
+    world = task.world()
+    assert world is not None, "the true world is always there once an episode is drawn"
     outcome, frames = filmed_trial(
-        world,
-        grasp,
-        env.trial_settings,
-        target=TARGET,
-        alone=not env.config.clutter,
-        commands_a_frame=_COMMANDS_A_FRAME,
+        world, grasp, task.trial_settings, alone=not task.config.clutter, commands_a_frame=_COMMANDS_A_FRAME
     )
     write_clip(path, frames)
     return outcome.reason

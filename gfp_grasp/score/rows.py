@@ -4,28 +4,31 @@ from __future__ import annotations
 
 import time
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import islice
-from typing import Any
+from typing import Literal
 
 import numpy as np
 
 from gfp_grasp.completers import Oracle
 from gfp_grasp.completion import Completion
-from gfp_grasp.detect.box import upright_box
-from gfp_grasp.envs import GfpGraspEnv
+from gfp_grasp.detect import upright_box
+from gfp_grasp.envs import ActionCode, EnvConfig, Episode, GraspTask
 from gfp_grasp.errors import GfpGraspError, InvalidOption, WorkerLost
 from gfp_grasp.grasps import PLANNERS, GraspConfig, get_planner, plan_grasps
 from gfp_grasp.metrics import CompletionErrors, completion_errors
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.score.report import ScoreRow, method_names
-from gfp_grasp.types import Detection, Grasp, PointCloud, SupportPlane, TrueObject
+from gfp_grasp.types import Detection, Grasp, Outcome, PointCloud, SupportPlane, TrueObject
 
 # Errors of a user's own planner, which cost its own rows and no others.
 _OF_USERS = (ArithmeticError, AssertionError, AttributeError, LookupError, RuntimeError, TypeError, ValueError)
 _UP = np.array([0.0, 0.0, 1.0])
+_CODE = ActionCode()
+_WORLDS: tuple[Literal["true", "completed"], ...] = ("true", "completed")
+_NO_GRASP = Outcome(False, "no_grasp_found", 0.0, 0.0, False)
 # Many more tries than for a ranking: nothing found is to mean that there is nothing.
 _THOROUGH = GraspConfig(num_rays=20_000, num_lines=2000, num_looks=16_000, num_poses=2400)
 
@@ -108,37 +111,37 @@ def is_graspable(truth: TrueObject) -> bool:
 
 def make_row(job: RowJob) -> ScoreRow:
     """Make a row from its seeds: the same job gives the same row, but for its timings."""
+    config = job.config
     started = time.perf_counter()
-    env = _env(job, "true")
-    _, info = env.reset(seed=job.episode_seed, options={"object": job.number})
+    task = _task(job.objects, config.split, config.clutter, method_names(job.method)[0])
+    episode = task.draw(np.random.default_rng(job.episode_seed), number=job.number)
     completed_at = time.perf_counter()
-    found, note = (), str(info["completion_error"])
-    if env.completion is not None:
-        found, note = best_grasps(env, env.completion, job.method, job.config.grasps, job.config.seed)
+    found, note = (), episode.failure
+    if episode.completion is not None:
+        found, note = best_grasps(episode.completion, job.method, config.grasps, config.seed)
     planned_at = time.perf_counter()
-    grasp = found[0] if found else None
-    true_info, completed_info = _in_both_worlds(env, job, grasp)
-    rank_held = 1 if true_info["is_success"] else _first_held(env, found)
+    outcome, completed = (task.run_trial(as_step(found[0]), world=which) if found else _NO_GRASP for which in _WORLDS)
+    rank_held = 1 if outcome.success else _first_held(task, found)
     executed_at = time.perf_counter()
-    errors = _errors(env, job)
+    errors = _errors(episode, job.episode_seed)
     return ScoreRow(
         object=job.object_name,
-        category=str(info["category"]),
+        category=episode.truth.category,
         completer=job.method,
         view=job.view,
         episode_seed=job.episode_seed,
-        success=bool(true_info["is_success"]),
-        reason=str(true_info["reason"]),
-        lift_m=float(true_info["lift_m"]),
-        slip_m=float(true_info["slip_m"]),
-        falls_free=bool(true_info["falls_free"]),
-        mass_kg=float(info["mass_kg"]),
-        friction=float(info["friction"]),
-        grip_n=float(info["grip_n"]),
-        completed_success=bool(completed_info["is_success"]),
-        completed_reason=str(completed_info["reason"]),
-        quality=None if grasp is None else grasp.quality,
-        width_m=None if grasp is None else grasp.width_m,
+        success=outcome.success,
+        reason=outcome.reason,
+        lift_m=outcome.lift_m,
+        slip_m=outcome.slip_m,
+        falls_free=outcome.falls_free,
+        mass_kg=episode.randomisation.mass_kg,
+        friction=episode.randomisation.friction,
+        grip_n=episode.randomisation.grip_n,
+        completed_success=completed.success,
+        completed_reason=completed.reason,
+        quality=found[0].quality if found else None,
+        width_m=found[0].width_m if found else None,
         cd_m=None if errors is None else errors.cd_m,
         f_score=None if errors is None else errors.f_score,
         note=note,
@@ -178,9 +181,7 @@ def lost_row(job: RowJob, error: WorkerLost) -> ScoreRow:
     )
 
 
-def best_grasps(
-    env: GfpGraspEnv, completion: Completion, method: str, num: int, seed: int
-) -> tuple[tuple[Grasp, ...], str]:
+def best_grasps(completion: Completion, method: str, num: int, seed: int) -> tuple[tuple[Grasp, ...], str]:
     """The best grasps that a method's planner finds on a completion, and a note where there are none."""
     name = method_names(method)[1]
     try:
@@ -190,7 +191,7 @@ def best_grasps(
                 raise InvalidOption(
                     f"planner {name!r} gave a {type(grasp).__name__}; a gfp_grasp.types.Grasp is expected"
                 )
-            env.action_code.encode(grasp)
+            as_step(grasp)
     except GfpGraspError as error:  # e.g. the completion could not be decomposed
         return (), f"{type(error).__name__}: {error}"
     except _OF_USERS as error:
@@ -200,7 +201,17 @@ def best_grasps(
     return found, "" if found else "the planner found no grasp"
 
 
+def as_step(grasp: Grasp) -> Grasp:
+    """The grasp as `GfpGraspEnv.step` has it, which rounds actions: a trial of the score is a step of the environment.
+
+    Raises:
+        InvalidAction: The grasp lies outside of the environment's workspace.
+    """
+    return _CODE.decode(_CODE.encode(grasp))
+
+
 @lru_cache(maxsize=16)
+<<<<<<< HEAD
 def _cached_env(objects: str, config: ScoreConfig, completer_name: str, world: str) -> GfpGraspEnv:
     """One environment a process and completer, so that scenes are compiled once."""
     env = GfpGraspEnv(
@@ -220,27 +231,21 @@ def _env(job: RowJob, world: str) -> GfpGraspEnv:
 
 
 def _first_held(env: GfpGraspEnv, grasps: Sequence[Grasp]) -> int | None:
+=======
+def _task(objects: str, split: str, clutter: int, completer_name: str) -> GraspTask:
+    """One task a process and completer, so that scenes are compiled once; a score goes object by object."""
+    config = EnvConfig(objects=objects, split=split, clutter=clutter, completer=completer_name)
+    return GraspTask(config, num_kept=1 + clutter)
+
+
+def _first_held(task: GraspTask, grasps: Sequence[Grasp]) -> int | None:
+>>>>>>> 8bde661 (A score tries grasps by the task that the environment has; creep and pace belong to the bench of trials)
     """Rank of the first grasp after the best that holds the true object."""
-    for rank, grasp in enumerate(grasps[1:], start=2):
-        if env.step(env.action_code.encode(grasp))[4]["is_success"]:
-            return rank
-    return None
+    ranks = range(2, len(grasps) + 1)
+    return next((rank for rank in ranks if task.run_trial(as_step(grasps[rank - 1])).success), None)
 
 
-def _in_both_worlds(env: GfpGraspEnv, job: RowJob, grasp: Grasp | None) -> tuple[Mapping[str, Any], Mapping[str, Any]]:
-    """Info of the trial on the true object and of that on the completed one."""
-    if grasp is None:
-        nothing = {"is_success": False, "reason": "no_grasp_found", "lift_m": 0.0, "slip_m": 0.0, "falls_free": False}
-        return nothing, nothing
-    action = env.action_code.encode(grasp)
-    true_info = env.step(action)[4]
-    other = _env(job, "completed")
-    other.reset(seed=job.episode_seed, options={"object": job.number, "completion": env.completion})
-    return true_info, other.step(action)[4]
-
-
-def _errors(env: GfpGraspEnv, job: RowJob) -> CompletionErrors | None:
-    episode = env.episode
+def _errors(episode: Episode, seed: int) -> CompletionErrors | None:
     if episode.completion is None:
         return None
-    return completion_errors(episode.completion.mesh, episode.true_mesh(), rng=np.random.default_rng(job.episode_seed))
+    return completion_errors(episode.completion.mesh, episode.true_mesh(), rng=np.random.default_rng(seed))
