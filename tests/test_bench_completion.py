@@ -5,7 +5,8 @@ from typing import Any
 import pytest
 
 from gfp_grasp.bench import CompletionConfig, bench_completion
-from gfp_grasp.bench.rows import CompletionRow, paired_gain, table_one
+from gfp_grasp.bench.methods import FORMER_NAMES, METHODS
+from gfp_grasp.bench.rows import CompletionRow, paired_gain, summarise, table_one
 from gfp_grasp.errors import InvalidOption
 
 
@@ -67,3 +68,58 @@ def test_the_papers_table_stands_beside_the_same_methods_here():
 def test_bench_of_an_unknown_method_is_refused():
     with pytest.raises(InvalidOption, match="registration"):
         bench_completion("cup", methods=("magic",))
+
+
+def completion_row(view: int, **fields: object) -> CompletionRow:
+    known = {"object": "a", "category": "cup", "view": view, "method": "m", "ms": 1.0, "cd_m": 0.01, "f_score": 0.5}
+    return CompletionRow(**{**known, **fields})  # type: ignore[arg-type]
+
+
+def test_a_summary_has_means_medians_and_counts():
+    rows = [
+        completion_row(0, cd_m=0.002, ms=10.0, scale_error=-0.2, class_found="cup", iou=0.8, f_score=0.9),
+        completion_row(1, cd_m=0.004, ms=30.0, scale_error=0.1, class_found="mug", iou=0.6, f_score=0.7),
+        completion_row(2, cd_m=0.012, ms=20.0, scale_error=0.4, class_found="cup"),
+        completion_row(3, cd_m=None, ms=100.0, f_score=0.0, error="FitDiverged"),
+    ]
+    figures = summarise(rows)
+    assert figures["cd_m"] == pytest.approx(0.006)
+    assert figures["cd_median_m"] == pytest.approx(0.004)
+    assert figures["f_score"] == pytest.approx((0.9 + 0.7 + 0.5 + 0.0) / 4)
+    assert figures["iou"] == pytest.approx(0.7)
+    assert figures["scale_error_median"] == pytest.approx(0.2)
+    assert figures["class_found"] == pytest.approx(2 / 3, abs=1e-4)
+    assert figures["ms"] == 25.0
+    assert figures["ms_p95"] == pytest.approx(89.5)
+    assert (figures["views"], figures["failed"]) == (4, 1)
+    assert figures["sigma_rank"] is None
+
+
+def test_a_summary_of_nothing_is_empty_and_of_failures_has_no_distance():
+    assert summarise([])["ms"] is None
+    failed = summarise([completion_row(0, cd_m=None, f_score=0.0, error="InvalidCloud")])
+    assert (failed["cd_m"], failed["cd_median_m"], failed["f_score"], failed["failed"]) == (None, None, 0.0, 1)
+
+
+def test_pairs_need_an_answer_of_both_methods():
+    rows = [
+        completion_row(0, method="gfpnet", cd_m=0.003),
+        completion_row(0, method="registration", cd_m=None),
+        completion_row(1, method="gfpnet", cd_m=0.003),
+    ]
+    assert paired_gain(rows, "gfpnet", "registration") == {"pairs": 0}
+
+
+def test_a_row_is_written_without_what_does_not_apply_and_comes_back():
+    row = completion_row(0, cd_m=None, error="InvalidCloud")
+    assert "iou" not in row.to_json()
+    assert row.to_json()["cd_m"] is None
+    assert CompletionRow(**row.to_json()) == row
+
+
+def test_rows_of_former_names_are_those_of_the_same_method():
+    for former, name in FORMER_NAMES.items():
+        assert former not in METHODS
+        assert name in METHODS
+    assert FORMER_NAMES["hull"] == "observed"
+    assert FORMER_NAMES["pcrnet-gfs-sized"] == "told-pcrnet-gfs-sized"

@@ -10,22 +10,19 @@ import numpy as np
 import pytest
 import real_data
 import trimesh
-from PIL import Image
 
 from gfp_grasp.assets import data_dir
-from gfp_grasp.camera import intrinsics
 from gfp_grasp.captures import complete_capture, read_capture
 from gfp_grasp.demo import run_demo
 from gfp_grasp.demo.assets import CLUTTER, FILE, SINGLE, load_asset, pick_objects, read_parts, write_parts
 from gfp_grasp.demo.demo_scene import HEADINGS, DemoScene, figures_row
 from gfp_grasp.demo.jobs import table_frame
 from gfp_grasp.demo.page import write_page
-from gfp_grasp.drawing import Item, gripper_mesh, write_clip, write_depth
-from gfp_grasp.drawing.film import FRAME_PX, film_camera
+from gfp_grasp.drawing import Item
 from gfp_grasp.metrics import completion_errors
 from gfp_grasp.scenes.cache import mesh_sha256
-from gfp_grasp.transforms import apply_T, make_T, random_rotation
-from gfp_grasp.types import CollisionMesh, ConvexPart, DepthImage, Grasp, TrueObject
+from gfp_grasp.transforms import apply_T
+from gfp_grasp.types import CollisionMesh, ConvexPart, TrueObject
 
 
 @pytest.fixture(scope="module")
@@ -128,41 +125,6 @@ def test_parts_come_back_from_their_file(tmp_path: Path) -> None:
         np.testing.assert_array_equal(back.faces, part.faces)
 
 
-def test_depth_picture_is_lighter_where_it_is_nearer_and_grey_where_nothing_came_back(tmp_path: Path) -> None:
-    depth = np.linspace(0.4, 0.8, 64 * 48).reshape(48, 64).astype(np.float32)
-    depth[0] = 0
-    write_depth(tmp_path / "depth.png", depth)
-    picture = np.asarray(Image.open(tmp_path / "depth.png")).astype(float)
-    assert np.ptp(picture[0], axis=-1).max() <= 10
-    assert (np.diff(picture[1:].sum(axis=2).mean(axis=1)) < 0).all()
-
-
-def test_picture_without_any_return_is_still_written(tmp_path: Path) -> None:
-    write_depth(tmp_path / "depth.png", np.zeros((4, 4), np.float32))
-    assert Image.open(tmp_path / "depth.png").size == (4, 4)
-
-
-def test_clip_has_all_frames_and_repeats(tmp_path: Path) -> None:
-    frames = [np.full((20, 30, 3), 20 * k, np.uint8) for k in range(5)]
-    write_clip(tmp_path / "clip.gif", frames)
-    with Image.open(tmp_path / "clip.gif") as clip:
-        assert clip.n_frames == 5  # pyright: ignore[reportAttributeAccessIssue]
-        assert clip.info["loop"] == 0
-        clip.seek(3)
-        assert abs(int(np.asarray(clip.convert("RGB")).mean()) - 60) <= 2
-
-
-def test_gripper_mesh_opens_along_y_by_its_width_and_approaches_along_z() -> None:
-    grasp = Grasp(np.eye(4), 0.05)
-    mesh = gripper_mesh(grasp)
-    between = np.abs(mesh.vertices[:, 1])[mesh.vertices[:, 2] > -0.01]
-    assert between.min() == pytest.approx(0.025)
-    assert mesh.vertices[:, 2].max() < 0.02
-    T = np.eye(4)
-    T[:3, :3], T[:3, 3] = random_rotation(np.random.default_rng(0)), (0.1, 0.2, 0.3)
-    np.testing.assert_allclose(gripper_mesh(Grasp(T, 0.05)).vertices, apply_T(T, mesh.vertices), atol=1e-12)
-
-
 @pytest.mark.slow
 def test_table_frame_stands_the_recording_on_the_table() -> None:
     completions = complete_capture(read_capture("sample"))
@@ -177,17 +139,3 @@ def test_table_frame_stands_the_recording_on_the_table() -> None:
 def _reach(vertices: np.ndarray) -> np.ndarray:
     """Distances (v,) to the first vertex, which no motion changes."""
     return np.linalg.norm(vertices - vertices[0], axis=1)
-
-
-@pytest.mark.parametrize("alone", [True, False])
-@pytest.mark.parametrize("yaw_deg", range(0, 180, 30))
-def test_the_film_shows_both_jaws_and_the_whole_lift(alone: bool, yaw_deg: int) -> None:
-    closing = np.array([np.cos(np.radians(yaw_deg)), np.sin(np.radians(yaw_deg)), 0.0])
-    R = np.column_stack([np.cross(closing, (0, 0, -1)), closing, (0, 0, -1)])
-    camera = film_camera(Grasp(make_T(R, (0, 0, 0.1)), 0.06), alone=alone)
-    width, height = FRAME_PX
-    jaws = 0.03 * np.array([closing, -closing]) + (0, 0, 0.1)
-    lifted = np.concatenate([jaws, [[0, 0, 0.0], [0, 0, 0.1 + 0.2 + 0.16]]])
-    pixels, _ = DepthImage(np.zeros((height, width)), intrinsics(width, height, 35.0), camera).project(lifted)
-    assert ((pixels > 0) & (pixels < (width, height))).all()
-    assert abs(pixels[0, 0] - pixels[1, 0]) > 0.06 * height  # seen from along the jaws there would be no gap

@@ -9,7 +9,7 @@ import pytest
 import trimesh
 
 from gfp_grasp.errors import InvalidOption, UnknownCompleter
-from gfp_grasp.score import Report, ScoreConfig, ScoreRow, mcnemar_p, score, wilson_interval
+from gfp_grasp.score import ScoreConfig, score
 from gfp_grasp.score.rows import make_row
 from gfp_grasp.types import REASONS
 
@@ -202,67 +202,3 @@ def test_what_cannot_be_scored_is_refused(folder, knobs, error, message):
 def test_a_config_of_nothing_is_refused_by_name(name, value):
     with pytest.raises(InvalidOption, match=f"{name} is {value}"):
         ScoreConfig(**{name: value})
-
-
-@pytest.mark.parametrize(
-    ("successes", "attempts", "low", "high"),
-    [(8, 10, 0.4902, 0.9433), (0, 10, 0.0, 0.2775), (10, 10, 0.7225, 1.0), (0, 0, 0.0, 1.0)],
-)
-def test_wilson_intervals_are_those_of_the_tables(successes, attempts, low, high):
-    assert wilson_interval(successes, attempts) == pytest.approx((low, high), abs=1e-4)
-
-
-def a_row(name: str, view: int, truth: bool, completed: bool, rank: int | None = None) -> ScoreRow:
-    reasons = ["held" if held else "no_contact" for held in (truth, completed)]
-    return ScoreRow(
-        object="a",
-        category="cup",
-        completer=name,
-        view=view,
-        episode_seed=1,
-        success=truth,
-        reason=reasons[0],
-        lift_m=0.2,
-        slip_m=0.0,
-        falls_free=truth,
-        mass_kg=0.2,
-        friction=0.7,
-        grip_n=30.0,
-        completed_success=completed,
-        completed_reason=reasons[1],
-        quality=0.5,
-        width_m=0.05,
-        cd_m=0.01,
-        f_score=0.7,
-        rank_held=rank,
-    )
-
-
-def test_a_report_counts_each_world_by_itself():
-    row = Report({}, (a_row("mirror", 0, False, True),)).completers()["mirror"]
-    assert (row["successes"], row["completed_world"]["successes"]) == (0, 1)
-    assert (row["completed_world"]["precision"], row["completed_world"]["recall"]) == (0.0, None)
-    assert row["cd_m"] == 0.01
-
-
-def test_precision_recall_and_the_best_few_are_counted():
-    kinds = [(True, True, 1), (True, True, 1), (False, True, 3), (True, False, 1), (False, False, None)]
-    row = Report({}, tuple(a_row("mirror", i, *kind) for i, kind in enumerate(kinds))).completers()["mirror"]
-    assert row["any_of_best"] == 4
-    assert row["completed_world"]["precision"] == row["completed_world"]["recall"] == pytest.approx(2 / 3)
-
-
-def test_completers_are_paired_with_those_that_bracket_them_view_by_view():
-    held = {
-        "mirror": [True, False, False, False, False, False, False],
-        "oracle": [True, True, True, True, True, True, True],
-    }
-    rows = [a_row(name, view, truth, True) for name, line in held.items() for view, truth in enumerate(line)]
-    paired = Report({}, tuple(rows)).paired()
-    assert paired["mirror"] == {"oracle": {"pairs": 7, "only_this": 0, "only_other": 6, "p": 2 * 0.5**6}}
-    assert paired["oracle"] == {}
-
-
-@pytest.mark.parametrize(("first", "second", "p"), [(0, 0, 1.0), (1, 1, 1.0), (0, 5, 0.0625), (10, 2, 0.03857)])
-def test_the_exact_test_of_mcnemar_is_that_of_the_tables(first, second, p):
-    assert mcnemar_p(first, second) == pytest.approx(p, abs=1e-5)

@@ -11,9 +11,7 @@ import trimesh
 from PIL import Image
 
 import gfp_grasp.cli.score
-from gfp_grasp.drawing import bracket_chart, overlay, reasons_chart, without_paths
-from gfp_grasp.drawing.charts import _HATCHES
-from gfp_grasp.drawing.film import film_camera
+from gfp_grasp.drawing import bracket_chart, reasons_chart
 from gfp_grasp.errors import CannotWrite, GfpGraspError, InvalidOption
 from gfp_grasp.grasps import plan_grasps
 from gfp_grasp.score import (
@@ -29,7 +27,7 @@ from gfp_grasp.score import (
 from gfp_grasp.score.failures import MOST, choose_failures
 from gfp_grasp.score.page import _command
 from gfp_grasp.transforms import make_T
-from gfp_grasp.types import REASONS, Grasp
+from gfp_grasp.types import Grasp
 
 pytestmark = pytest.mark.filterwarnings("error")
 MISSING = "mirror/test_score_page:grasps_the_air"
@@ -119,19 +117,6 @@ def test_a_score_among_clutter_is_made_again_among_clutter(report):
 def test_the_command_counts_objects_that_were_left_out(report):
     settings = {**report.settings, "num_objects": 5, "ungraspable": ["jug", "vat"], "classes": ["", "jug"]}
     assert " --limit 7 --classes ,jug --report out" in _command(settings, "out")
-
-
-@pytest.mark.parametrize(
-    ("words", "left"),
-    [
-        ("/a/b/c.ply is none", "c.ply is none"),
-        ("in '/a/b': 3/4 m/s, gfpnet/top-down", "in 'b': 3/4 m/s, gfpnet/top-down"),
-        (r"C:\users\me\mug.obj", "mug.obj"),
-        ("cup / mug", "cup / mug"),
-    ],
-)
-def test_folders_are_taken_out_of_absolute_paths_alone(words, left):
-    assert without_paths(words) == left
 
 
 def test_a_report_without_failures_gives_a_page_that_says_so(report, tmp_path):
@@ -236,45 +221,3 @@ def test_the_charts_stand_where_the_figures_are():
     bars = ElementTree.fromstring(reasons_chart(summaries)).findall("rect")
     widths = [float(bar.get("width", "")) for bar in bars]
     np.testing.assert_allclose(widths, [115, 345, 230, 230, 460])
-
-
-def test_every_reason_has_a_hatch_of_its_own():
-    assert tuple(_HATCHES) == REASONS
-    assert len({(strokes, colour) for colour, strokes, _ in _HATCHES.values()}) == len(REASONS)
-
-
-def test_the_overlay_shows_what_is_missing_dark_and_what_is_too_much_light():
-    truth = trimesh.creation.box(bounds=((-0.03, -0.03, 0.0), (0.03, 0.03, 0.10)))
-    tall = trimesh.creation.box(bounds=((-0.03, -0.03, 0.0), (0.03, 0.03, 0.14)))
-    for shapes, dark_on_top in (((tall, truth), True), ((truth, tall), False)):
-        picture = overlay(*shapes, seen_from=np.array([0.5, 0.0, 0.4])).astype(int)
-        assert picture.shape == (300, 600, 3)
-        for panel in (picture[:, :300], picture[:, 300:]):
-            blue = panel[..., 2] - panel[..., 0]
-            top = blue[np.abs(blue).max(axis=1) > 30][:40]  # the first rows of what is coloured
-            assert (top.max() > 60) if dark_on_top else (top.min() < -60)
-
-
-def test_shapes_that_agree_are_mixed_and_the_truth_alone_is_drawn_where_nothing_was_completed():
-    ball = trimesh.creation.icosphere(radius=0.05)
-    ball.apply_translation((0, 0, 0.05))
-    alone = overlay(ball, None, seen_from=np.array([0.5, 0.0, 0.4])).astype(int)
-    both = overlay(ball, ball, seen_from=np.array([0.5, 0.0, 0.4])).astype(int)
-    assert alone[150, 150, 2] > alone[150, 150, 0] + 40
-    np.testing.assert_allclose(both[150, 150, 0] - alone[150, 150, 0], 0.39 * 255 * _brightness(alone), atol=12)
-
-
-def _brightness(picture: np.ndarray) -> float:
-    """Of the middle pixel, whose colour is known but for it."""
-    return float(picture[150, 150, 2] / (0.62 * 255))
-
-
-@pytest.mark.parametrize("yaw_deg", range(0, 360, 45))
-def test_a_gripper_that_comes_from_the_side_hides_nothing(yaw_deg):
-    yaw = np.radians(yaw_deg)
-    approach = np.array([np.cos(yaw), np.sin(yaw), 0.0])
-    closing = np.array([-approach[1], approach[0], 0.0])
-    T = make_T(np.column_stack([np.cross(closing, approach), closing, approach]), (0, 0, 0.1))
-    camera = film_camera(Grasp(T, 0.06), alone=True)
-    sight = camera[:3, 2] * (1, 1, 0) / np.linalg.norm(camera[:2, 2])
-    assert sight @ approach == pytest.approx(np.cos(np.deg2rad(55)), abs=1e-6)

@@ -12,13 +12,8 @@ from PIL import Image
 from gfp_grasp.drawing import filmed_trial, overlay, spoken, write_clip
 from gfp_grasp.envs import EnvConfig, Episode, GraspTask
 from gfp_grasp.errors import CannotWrite, GfpGraspError, InvalidOption
-<<<<<<< HEAD
-from gfp_grasp.grasps import get_planner
 from gfp_grasp.parallel import Progress
-from gfp_grasp.scenes import TARGET, load_objects
-=======
 from gfp_grasp.scenes import load_objects
->>>>>>> 8bde661 (A score tries grasps by the task that the environment has; creep and pace belong to the bench of trials)
 from gfp_grasp.score.report import Report, ScoreRow, method_names
 from gfp_grasp.score.rows import as_step, best_grasps
 from gfp_grasp.types import Grasp

@@ -113,7 +113,7 @@ def make_row(job: RowJob) -> ScoreRow:
     """Make a row from its seeds: the same job gives the same row, but for its timings."""
     config = job.config
     started = time.perf_counter()
-    task = _task(job.objects, config.split, config.clutter, method_names(job.method)[0])
+    task = _task(job.objects, config, method_names(job.method)[0])
     episode = task.draw(np.random.default_rng(job.episode_seed), number=job.number)
     completed_at = time.perf_counter()
     found, note = (), episode.failure
@@ -211,35 +211,15 @@ def as_step(grasp: Grasp) -> Grasp:
 
 
 @lru_cache(maxsize=16)
-<<<<<<< HEAD
-def _cached_env(objects: str, config: ScoreConfig, completer_name: str, world: str) -> GfpGraspEnv:
-    """One environment a process and completer, so that scenes are compiled once."""
-    env = GfpGraspEnv(
-        objects=objects,
-        gps=config.gps,
-        split=config.split,
-        clutter=config.clutter,
-        completer=completer_name,
-        world=world,
-    )
-    env.task.num_kept = 1 + config.clutter  # a score goes object by object
-    return env
-
-
-def _env(job: RowJob, world: str) -> GfpGraspEnv:
-    return _cached_env(job.objects, job.config, method_names(job.method)[0], world)
-
-
-def _first_held(env: GfpGraspEnv, grasps: Sequence[Grasp]) -> int | None:
-=======
-def _task(objects: str, split: str, clutter: int, completer_name: str) -> GraspTask:
+def _task(objects: str, config: ScoreConfig, completer_name: str) -> GraspTask:
     """One task a process and completer, so that scenes are compiled once; a score goes object by object."""
-    config = EnvConfig(objects=objects, split=split, clutter=clutter, completer=completer_name)
-    return GraspTask(config, num_kept=1 + clutter)
+    env = EnvConfig(
+        objects=objects, gps=config.gps, split=config.split, clutter=config.clutter, completer=completer_name
+    )
+    return GraspTask(env, num_kept=1 + config.clutter)
 
 
 def _first_held(task: GraspTask, grasps: Sequence[Grasp]) -> int | None:
->>>>>>> 8bde661 (A score tries grasps by the task that the environment has; creep and pace belong to the bench of trials)
     """Rank of the first grasp after the best that holds the true object."""
     ranks = range(2, len(grasps) + 1)
     return next((rank for rank in ranks if task.run_trial(as_step(grasps[rank - 1])).success), None)
