@@ -219,12 +219,12 @@ def test_viewer_says_nothing_on_stdout_and_goes_on_to_a_free_port(capsys: pytest
 def test_episodes_go_on_and_their_grasps_are_tried() -> None:
     pytest.importorskip("viser")
     with view_episodes("cup,mug,bottle", seed=0, port=0) as viewer:
-        motion = viewer.attempt(0, play=False)
+        motion = viewer.try_grasp(0, play=False)
         assert motion.outcome.reason.replace("_", " ") in viewer._status.content
         assert not viewer._next.disabled
         assert not viewer._try.disabled
         with pytest.raises(InvalidOption, match="no grasp 99"):
-            viewer.attempt(98)
+            viewer.try_grasp(98)
         before = viewer.layers
         viewer.reset(viewer.seed + 1)
         assert viewer.seed == 1

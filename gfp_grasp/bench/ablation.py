@@ -32,12 +32,12 @@ class AblationConfig:
     """Budget of each network.
 
     Attributes:
-        steps: Optimiser steps.
-        batch: Patches a step.
-        limit: Shapes of a family that patches come from.
-        views: Views of each.
-        noise_m: Of the noisy row.
-        seed: Of every network and of the order of its batches.
+        steps: Number of optimiser steps.
+        batch: Number of patches a step.
+        limit: Number of shapes of a family that patches come from.
+        views: Number of views of each shape.
+        noise_m: Standard deviation of the noise in the noisy row, m.
+        seed: Seed of every network and of the order of its batches.
     """
 
     steps: int = 200
@@ -62,10 +62,10 @@ def bench_ablation(
     """Train and measure every row; rows that were finished by an earlier run are read back.
 
     Args:
-        config: Budget.
+        config: Budget of each network.
         runs: Folder of caches and finished rows.
-        workers: Processes that make labels.
-        report: Told the name of each row as it is begun.
+        workers: Number of processes that make labels.
+        report: Called with the name of each row before it is made.
 
     Returns:
         {"settings", "rows": {name: {"cd_mm": [of each of ITERATIONS], "hours"}}}, the Chamfer distance of predicted

@@ -21,7 +21,7 @@ import numpy as np
 import trimesh
 
 from gfp_grasp.bench.rows import Row
-from gfp_grasp.bench.views import procedural_classes, view_object
+from gfp_grasp.bench.views import view_object
 from gfp_grasp.collision import DecomposeConfig, collision_of, decompose, hull, union_error_m, within_parts
 from gfp_grasp.complete import complete_to_mesh
 from gfp_grasp.completion import Completion
@@ -51,7 +51,7 @@ class PartsRow(Row):
         category: True class of the object.
         method: Name of the method.
         failed: Error that ended the method; the figures are None then.
-        made_by: What made the parts, whatever the method.
+        made_by: Engine that made the parts.
         ms: Time that the method took, ms.
         parts: Number of convex parts.
         vertices: Number of vertices of all parts.
@@ -75,7 +75,7 @@ class PartsRow(Row):
 
 
 def bench_collision(
-    objects: str | None = None,
+    objects: str = "all",
     *,
     methods: Sequence[str] = METHODS,
     limit: int | None = 4,
@@ -87,7 +87,7 @@ def bench_collision(
     """Time, size, truth and speed in MuJoCo of each method's parts, on the same completed meshes.
 
     Args:
-        objects: Families, or a folder of meshes; None takes all classes that have a primitive and procedural shapes.
+        objects: Procedural families with commas between or "all", or a folder of meshes.
         methods: Some of METHODS.
         limit: Most objects in all, families taking turns; None takes all.
         truth: Decompose the true meshes as well, by all methods but "carried".
@@ -103,7 +103,6 @@ def bench_collision(
     unknown = set(methods) - set(METHODS)
     if unknown or not methods:
         raise InvalidOption(f"methods are {tuple(methods)}; some of {METHODS} are expected")
-    objects = objects or procedural_classes()
     sources = load_objects(objects, limit=limit)
     run = partial(_rows_of_object, methods=tuple(methods), truth=truth, seed=seed)
     found = [row for rows in pmap(run, list(enumerate(sources)), workers=workers, progress=progress) for row in rows]

@@ -39,7 +39,7 @@ _BACK_M = 0.01  # a point of the cloud this near says that the sensor saw the pl
 
 @dataclass(frozen=True)
 class CompletionConfig:
-    """What is measured on.
+    """Which views are measured, and what methods are told.
 
     Attributes:
         views: Number of views of each object.

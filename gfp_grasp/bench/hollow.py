@@ -17,7 +17,7 @@ import trimesh
 
 from gfp_grasp.bench.rows import Row
 from gfp_grasp.bench.vessels import drop_marble, handle_hole, hangs, inside_of, tilt_deg
-from gfp_grasp.bench.views import procedural_classes, view_object
+from gfp_grasp.bench.views import view_object
 from gfp_grasp.collision import hull
 from gfp_grasp.complete import complete_to_mesh
 from gfp_grasp.completion import Completion
@@ -41,10 +41,10 @@ class HollowRow(Row):
         category: True class of the object.
         failed: Error that ended the completion.
         taken_for: Class that the completion took it for.
-        made_by: What made the convex parts.
+        made_by: Engine that made the convex parts.
         marble_off_mm: Height of the marble's rest in the parts above the true floor.
-        off_own_mm: The same above the floor of the completed mesh; None where that is closed.
-        hull_off_mm: The same in the convex hull, above the true floor.
+        off_own_mm: Height of the same rest above the floor of the completed mesh; None where that is closed.
+        hull_off_mm: Height of the marble's rest in the convex hull above the true floor.
         opened: The completion is open, which the truth is not.
         hung: Whether the parts hang on the peg, and whether the hull does.
         tilt_deg: Angle by which the parts have tilted on a plane.
@@ -64,12 +64,12 @@ class HollowRow(Row):
 
 
 def bench_hollow(
-    objects: str | None = None, *, limit: int | None = 20, seed: int = 0, workers: int = 1, progress=None
+    objects: str = "all", *, limit: int | None = 20, seed: int = 0, workers: int = 1, progress=None
 ) -> dict[str, Any]:
-    """What completed things hold, hang on and stand on.
+    """Let completed objects hold a marble, hang on a peg and stand.
 
     Args:
-        objects: Families, or a folder of meshes; None takes all classes that have a primitive and procedural shapes.
+        objects: Procedural families with commas between or "all", or a folder of meshes.
         limit: Most objects in all; None takes all.
         seed: Seed of the views.
         workers: Number of processes.
@@ -88,7 +88,6 @@ def bench_hollow(
 
         An object that failed is in no count but its own.
     """
-    objects = objects or procedural_classes()
     sources = load_objects(objects, limit=limit)
     rows = pmap(partial(_measure_object, seed=seed), list(enumerate(sources)), workers=workers, progress=progress)
     classes = dict.fromkeys(row.category for row in rows)

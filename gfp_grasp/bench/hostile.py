@@ -53,7 +53,7 @@ class HostileRow(Row):
         kind: Kind of the mesh.
         outcome: "valid", the class of a named error, or one of BAD.
         s: Time of the step, s.
-        why: What was wrong; None where there is nothing more to tell.
+        why: Description of what was wrong; None where there is nothing more to tell.
     """
 
     step: str

@@ -1,4 +1,4 @@
-"""What the bench of completions compares, by name."""
+"""Methods that the bench of completions compares, by name."""
 
 from __future__ import annotations
 
@@ -24,11 +24,11 @@ _ITERATIONS = range(1, 8)
 
 @dataclass(frozen=True, eq=False)
 class Answer:
-    """What a method makes of a view.
+    """Answer of a method to a view.
 
     Attributes:
         surface: A mesh, or points (n, 3) m where the method has none.
-        completion: As the library returned it, where it was the library.
+        completion: Completion that the library returned, for methods of the library.
     """
 
     surface: trimesh.Trimesh | np.ndarray

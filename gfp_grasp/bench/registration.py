@@ -33,7 +33,7 @@ _SAMPLES = 4096
 
 @dataclass(frozen=True)
 class RegistrationConfig:
-    """What is measured on.
+    """Which views are measured.
 
     Attributes:
         views: Number of views of each shape.

@@ -94,7 +94,7 @@ def summarise(rows: Sequence[CompletionRow]) -> dict[str, Any]:
 
 
 def paired_gain(rows: Sequence[CompletionRow], method: str, reference: str) -> dict[str, Any]:
-    """What a method takes off the Chamfer distance of a reference, view by view; the interval resamples objects.
+    """Gain of a method over a reference in Chamfer distance, view by view; the interval resamples objects.
 
     Args:
         rows: Rows of both methods; others are passed over.

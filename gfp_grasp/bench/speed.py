@@ -20,7 +20,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import KDTree
 
-from gfp_grasp.bench.views import procedural_classes, view_object
+from gfp_grasp.bench.views import view_object
 from gfp_grasp.complete import complete_to_mesh
 from gfp_grasp.detect import detect_single
 from gfp_grasp.envs import GfpGraspEnv
@@ -38,12 +38,12 @@ _SMALL = {"image_width": 120, "image_height": 90, "num_points": 256}
 
 
 def bench_speed(
-    objects: str | None = None, *, limit: int = 30, calls: int = 0, seed: int = 0, progress=None
+    objects: str = "all", *, limit: int = 30, calls: int = 0, seed: int = 0, progress=None
 ) -> dict[str, Any]:
     """Time completions by stage, registrations beside each other, and watch the memory over many calls.
 
     Args:
-        objects: Families, or a folder of meshes; None takes all classes that have a primitive and procedural shapes.
+        objects: Procedural families with commas between or "all", or a folder of meshes.
         limit: Most objects in all.
         calls: Number of completions that memory is watched over; 0 leaves it out.
         seed: Seed of the views.
@@ -57,7 +57,7 @@ def bench_speed(
         raise InvalidOption(f"limit is {limit} and calls {calls}; at least one object, and no negative calls")
     clouds = [
         (source.category, view_object(source.load_mesh(), np.random.default_rng([seed, i]), protocol="standard").cloud)
-        for i, source in enumerate(load_objects(objects or procedural_classes(), limit=limit))
+        for i, source in enumerate(load_objects(objects, limit=limit))
     ]
     watch = progress or (lambda stream, total: stream)
     with warnings.catch_warnings():
@@ -77,7 +77,7 @@ def bench_speed(
 
 
 def bench_resets(
-    objects: str | None = None,
+    objects: str = "all",
     *,
     resets: int = 10_000,
     completer: str = "mirror",
@@ -89,7 +89,7 @@ def bench_resets(
     """Memory of the process over many resets of one environment.
 
     Args:
-        objects: Families, or a folder of meshes; None takes all classes that have a primitive and procedural shapes.
+        objects: Procedural families with commas between or "all", or a folder of meshes.
         resets: Number of resets.
         completer: Name of the completer; a cheap one measures the environment, another one measures itself as well.
         limit: Most objects in all; each is loaded once before the count begins, as parts that are not in the cache yet
@@ -106,7 +106,6 @@ def bench_resets(
     """
     if resets < _POINTS:
         raise InvalidOption(f"resets is {resets}; at least {_POINTS} are expected, for as many points of measurement")
-    objects = objects or procedural_classes()
     chosen = {"objects": objects, "completer": completer, "limit": limit, **_SMALL, **options}
     env = GfpGraspEnv(**chosen)
     for number in range(len(env.sources)):

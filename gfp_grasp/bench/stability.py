@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from gfp_grasp.bench.views import procedural_classes, view_object
+from gfp_grasp.bench.views import view_object
 from gfp_grasp.complete import complete_to_mesh
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.parallel import pmap
@@ -22,7 +22,7 @@ from gfp_grasp.transforms import apply_T, invert_T, make_T, rotation_about
 
 
 def bench_stability(
-    objects: str | None = None,
+    objects: str = "all",
     *,
     motions: int = 200,
     limit: int = 20,
@@ -33,7 +33,7 @@ def bench_stability(
     """Complete each object twice, and after rigid motions about up.
 
     Args:
-        objects: Families, or a folder of meshes; None takes all classes that have a primitive and procedural shapes.
+        objects: Procedural families with commas between or "all", or a folder of meshes.
         motions: Number of motions in all, shared out over the objects.
         limit: Most objects in all.
         seed: Seed of views and motions.
@@ -48,7 +48,7 @@ def bench_stability(
     if motions < 1 or limit < 1:
         raise InvalidOption(f"{motions} motions of {limit} objects; at least one of each is expected")
     known = PrimitiveLibrary.shipped().categories
-    sources = [s for s in load_objects(objects or procedural_classes(), limit=limit) if s.category in known]
+    sources = [s for s in load_objects(objects, limit=limit) if s.category in known]
     jobs = [(source, len(range(i, motions, len(sources))), i) for i, source in enumerate(sources)]
     answers = pmap(partial(_stability, seed=seed), jobs, workers=workers, progress=progress)
     moved_mm = np.concatenate([moved for _, moved in answers])

@@ -21,7 +21,6 @@ import mujoco
 import numpy as np
 
 from gfp_grasp.bench.rows import Row
-from gfp_grasp.bench.views import procedural_classes
 from gfp_grasp.envs import EnvConfig, GraspTask, TrialSettings, run_trial
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.grasps import plan_grasps
@@ -73,7 +72,7 @@ class _Measured:
 
 
 def bench_trial(
-    objects: str | None = None,
+    objects: str = "all",
     *,
     limit: int = 24,
     grasps: int = 4,
@@ -85,7 +84,7 @@ def bench_trial(
     """How outcomes depend on the time step, and how fast trials are.
 
     Args:
-        objects: Families, or a folder of meshes; None takes all classes that have a primitive and procedural shapes.
+        objects: Procedural families with commas between or "all", or a folder of meshes.
         limit: Most objects in all.
         grasps: Number of grasps on each object, the best planned on the true mesh.
         completer: Name of the completer in the whole episodes that are timed.
@@ -103,7 +102,6 @@ def bench_trial(
         scene of FetchPickAndPlace-v4 in the same run where gymnasium-robotics is installed, "trials": every
         `TrialRow`}.
     """
-    objects = objects or procedural_classes()
     if limit < 1 or grasps < 1:
         raise InvalidOption(f"limit is {limit} and grasps {grasps}; at least 1 of each is expected")
     num_objects = len(_task(objects, limit, "oracle").sources)

@@ -1,4 +1,4 @@
-"""Whether hollow things are hollow in MuJoCo: a marble in a cup, a mug on a peg, a bottle on a table."""
+"""Whether hollow things are hollow in MuJoCo: a marble falls in, a handle hangs on a peg, a foot stands on a plane."""
 
 # MuJoCo's names come from compiled modules, into which the type checker does not see.
 # pyright: reportAttributeAccessIssue=false
@@ -25,7 +25,7 @@ _STEP_S = 0.0005
 _CONTACT_S = 0.002
 _DROP_M = 0.02  # above the rim
 _GRID = 40
-# Of the map that is rained on; a wall thinner than a cell would leak.
+# Cells of the map that is rained on; a wall thinner than a cell would leak.
 _CELL_M, _MOST_CELLS = 0.001, 256
 _FOUR = ndimage.generate_binary_structure(2, 1)
 
@@ -54,7 +54,7 @@ def inside_of(mesh: trimesh.Trimesh, *, least_depth_m: float = 0.015) -> Inside 
 
     Args:
         mesh: Watertight, z up, m.
-        least_depth_m: What holds less water than this has no inside, but a dent.
+        least_depth_m: A dent that holds less water than this is no inside.
 
     Returns:
         The largest one by the water that it holds; None where there is none.
@@ -101,13 +101,13 @@ def drop_marble(
     """Let a marble fall into convex parts that hang fixed in space, with nothing below.
 
     Args:
-        parts: m, z up.
-        inside: Over whose middle the marble starts, above the rim.
-        radius_m: Of the marble; one larger than inside.room_m does not get in.
-        seconds: That are simulated.
+        parts: Convex parts, m, z up.
+        inside: Inside of the vessel; the marble starts over its middle, above the rim.
+        radius_m: Radius of the marble; one larger than inside.room_m does not get in.
+        seconds: Time that is simulated, s.
 
     Returns:
-        (3,) m, where its centre is then.
+        (3,) m, place of its centre at the end.
     """
     spec = _spec()
     _add_parts(spec, spec.worldbody, parts)
@@ -120,12 +120,12 @@ def drop_marble(
 
 
 def tilt_deg(mesh: trimesh.Trimesh, parts: Sequence[ConvexPart], *, seconds: float = 2.0) -> float:
-    """How far a thing that is put on a plane as it stands has tilted after some seconds.
+    """Angle by which a thing that is put on a plane as it stands has tilted after some seconds.
 
     Args:
         mesh: Watertight, z up, m; its mass is that of a solid.
         parts: Its convex parts.
-        seconds: That are simulated.
+        seconds: Time that is simulated, s.
     """
     spec = _spec()
     lowest = min(float(part.vertices[:, 2].min()) for part in parts)
@@ -137,7 +137,7 @@ def tilt_deg(mesh: trimesh.Trimesh, parts: Sequence[ConvexPart], *, seconds: flo
 
 
 def handle_hole(mesh: trimesh.Trimesh, handle: np.ndarray) -> tuple[np.ndarray, np.ndarray, float] | None:
-    """The hole between a handle and its mug, z up.
+    """The hole between a handle and its body, z up.
 
     Args:
         mesh: Watertight, m.
@@ -187,10 +187,10 @@ def hangs(
     Args:
         mesh: Watertight, z up, m; its mass is that of a solid.
         parts: Its convex parts.
-        middle: (3,) m, of the peg.
-        through: (3,) unit, horizontal, along it.
-        radius_m: Of the peg.
-        seconds: That are simulated.
+        middle: (3,) m, middle of the peg.
+        through: (3,) unit, horizontal, direction of the peg.
+        radius_m: Radius of the peg.
+        seconds: Time that is simulated, s.
     """
     spec = _spec()
     reach = 3.0 * float(np.ptp(mesh.bounds, axis=0).max())

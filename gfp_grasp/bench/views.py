@@ -16,8 +16,6 @@ from gfp_grasp.camera import (
     render_mesh_view,
     sample_viewpoint,
 )
-from gfp_grasp.primitives import PrimitiveLibrary
-from gfp_grasp.shapes import FAMILIES
 from gfp_grasp.transforms import apply_T, invert_T, make_T, rotation_about
 from gfp_grasp.types import DepthImage, PointCloud
 
@@ -26,11 +24,6 @@ PROTOCOLS = ("standard", "noisy", "fallen", "hidden")
 _NOISY = SensorModel(sigma_m=0.003, hole_share=0.08, hole_radius_px=3.0, edge_lost_share=0.25)
 _LIFT_M = 1e-4  # rays start this far off their own surface
 _BOARD_M = 0.05  # how far in front of the object the board of the hidden protocol stands
-
-
-def procedural_classes() -> str:
-    """Classes that have a primitive and procedural shapes, as `load_objects` takes them: the benches' own objects."""
-    return ",".join(name for name in PrimitiveLibrary.shipped().categories if name in FAMILIES)
 
 
 @dataclass(frozen=True, eq=False)

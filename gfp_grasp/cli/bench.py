@@ -8,7 +8,6 @@ from typing import Annotated
 import typer
 
 from gfp_grasp.cli.terminal import (
-    BenchObjects,
     Gps,
     JsonFile,
     Limit,
@@ -151,7 +150,7 @@ def ablation(
 
 @bench.command()
 def speed(
-    objects: BenchObjects = None,
+    objects: Objects = "all",
     limit: Limit = 30,
     calls: Annotated[int, typer.Option(min=0, help="Completions that memory is watched over.")] = 0,
     json_file: JsonFile = None,
@@ -167,7 +166,7 @@ def speed(
 
 @bench.command()
 def stability(
-    objects: BenchObjects = None,
+    objects: Objects = "all",
     motions: Annotated[int, typer.Option(min=1, help="Rigid motions about up, in all.")] = 200,
     limit: Limit = 20,
     workers: Workers = 1,

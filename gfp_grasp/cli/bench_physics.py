@@ -8,9 +8,9 @@ import typer
 
 from gfp_grasp.cli.bench import bench
 from gfp_grasp.cli.terminal import (
-    BenchObjects,
     JsonFile,
     Limit,
+    Objects,
     Seed,
     Workers,
     out,
@@ -23,7 +23,7 @@ from gfp_grasp.cli.terminal import (
 
 @bench.command()
 def collision(
-    objects: BenchObjects = None,
+    objects: Objects = "all",
     methods: Annotated[str, typer.Option(help="Names with commas between; or all.")] = "all",
     limit: Limit = 4,
     truth: Annotated[bool, typer.Option("--truth", help="Decompose the true meshes as well.")] = False,
@@ -51,7 +51,7 @@ def collision(
 
 @bench.command()
 def hollow(
-    objects: BenchObjects = None,
+    objects: Objects = "all",
     limit: Limit = 20,
     workers: Workers = 1,
     json_file: JsonFile = None,
@@ -67,7 +67,7 @@ def hollow(
 
 @bench.command()
 def trial(
-    objects: BenchObjects = None,
+    objects: Objects = "all",
     limit: Limit = 24,
     grasps: Annotated[int, typer.Option(min=1, help="Attempts on each object.")] = 4,
     completer: Annotated[str, typer.Option(help="Completes in the whole episodes that are timed.")] = "gfpnet",
@@ -93,7 +93,7 @@ def trial(
 
 @bench.command()
 def resets(
-    objects: BenchObjects = None,
+    objects: Objects = "all",
     count: Annotated[int, typer.Option("--resets", min=10, help="Of one environment.")] = 10_000,
     completer: Annotated[str, typer.Option(help="Name; a cheap one measures the environment.")] = "mirror",
     limit: Limit = 20,

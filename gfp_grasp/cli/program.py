@@ -19,7 +19,7 @@ from gfp_grasp.cli.training import train
 from gfp_grasp.errors import GfpGraspError
 
 _STOPPED = 130
-# Of the click package, or of the copy of it that newer typers bring: only the ancestor of this one is in both.
+# The class of the click package, or of the copy of click in newer typers: only the ancestor of this one is in both.
 _MistakeInWords = cast(
     type[typer.BadParameter], next(c for c in typer.BadParameter.__mro__ if c.__name__ == "ClickException")
 )

@@ -1,4 +1,4 @@
-"""What the commands share: consoles, progress bars, options that several of them have."""
+"""Consoles, progress bars and options that several commands share."""
 
 import json
 import os
@@ -31,20 +31,16 @@ from gfp_grasp.journal import write_whole
 Result = TypeVar("Result")
 Track = Callable[[Iterable[Result], int], Iterable[Result]]
 
-Seed = Annotated[int, typer.Option(min=0, help="Of every random choice; the same seed gives the same answer.")]
-Workers = Annotated[int, typer.Option(min=0, help="Processes; 0 is one a core.")]
+Seed = Annotated[int, typer.Option(min=0, help="Seed of every random choice; the same seed gives the same answer.")]
+Workers = Annotated[int, typer.Option(min=0, help="Number of processes; 0 is one a core.")]
 Ray = Annotated[str | None, typer.Option(help="Run on a Ray cluster: auto (this machine's), or host:port of its head.")]
-Limit = Annotated[int | None, typer.Option(min=1, help="At most so many objects (of each family).")]
-Split = Annotated[str, typer.Option(help="Of the procedural families: train, val or test.")]
+Limit = Annotated[int | None, typer.Option(min=1, help="Most objects (of each family).")]
+Split = Annotated[str, typer.Option(help="Split of the procedural families: train, val or test.")]
 Objects = Annotated[str, typer.Option(help="Procedural families with commas between or all, a mesh file, or a folder.")]
 Files = Annotated[bool, typer.Option("--files", help="Write the meshes of .xml to files beside it, not into itself.")]
 Gps = Annotated[
     list[Path] | None,
     typer.Option("--gps", help="Folder of primitives of your own (gps build --out); may be given several times."),
-]
-BenchObjects = Annotated[
-    str | None,
-    typer.Option(help="Families with commas between, or a folder; left out, all procedural classes."),
 ]
 JsonFile = Annotated[Path | None, typer.Option("--json", dir_okay=False, help="Write all figures to this file.")]
 

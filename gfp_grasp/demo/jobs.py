@@ -1,4 +1,4 @@
-"""What the demonstration does: scenes that it simulates, and recordings of the user's own."""
+"""Jobs of the demonstration: scenes that it simulates, and recordings of the user's own."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def set_stage(sources: Sequence[ObjectSource], rng: np.random.Generator) -> tupl
 
 
 def take_picture(stage: World, eye: Sequence[float], rng: np.random.Generator) -> tuple[DepthImage, np.ndarray]:
-    """What a sensor at the eye (3,) m sees of the stage, and the geom id (h, w) in each pixel."""
+    """The picture of a sensor at the eye (3,) m, and the geom id (h, w) in each pixel."""
     K, T = intrinsics(WIDTH, HEIGHT, FOV_DEG), look_at(eye, (0.0, 0.0, 0.06))
     depth, geom = render_depth(stage.model, stage.data, K=K, width=WIDTH, height=HEIGHT, T_world_camera=T)
     return apply_sensor(DepthImage(depth, K, T), SensorModel.realsense(), rng), geom

@@ -39,7 +39,7 @@ def run_demo(
         category: Class of the recordings' objects; None lets the classifier choose.
         config: Switches of the completion, the library of classes among them.
         seed: Seed of every random choice.
-        console: Where tables and progress go; None says nothing.
+        console: Console for tables and progress; None says nothing.
 
     Returns:
         The scenes of the page.

@@ -1,4 +1,4 @@
-"""What the viewer, the demonstration and the page of a score draw with: objects, films, pictures, charts, HTML."""
+"""Objects, films, pictures, charts and HTML for the viewer, the demonstration, the page of a score and the benches."""
 
 from gfp_grasp.drawing.charts import bracket_chart, reasons_chart, reasons_legend, write_bars, write_curves
 from gfp_grasp.drawing.film import every_nth, filmed_trial

@@ -88,7 +88,7 @@ def reasons_chart(summaries: Mapping[str, Mapping[str, Any]]) -> str:
     for place, (name, summary) in enumerate(summaries.items()):
         top = place * _BAR_ROW
         lines.append(_words(_LEFT, top + 14, name, kind="name"))
-        lines.append(_words(_RIGHT, top + 14, f"{summary['attempts']} attempts", anchor="end"))
+        lines.append(_words(_RIGHT, top + 14, f"{summary['attempts']} trials", anchor="end"))
         left = float(_LEFT)
         for reason, count in summary["reasons"].items():
             width = _SPAN * count / summary["attempts"]
@@ -100,7 +100,7 @@ def reasons_chart(summaries: Mapping[str, Mapping[str, Any]]) -> str:
             if width >= _NARROW:
                 lines.append(_words(left + width / 2, top + 36, str(count), anchor="middle", kind="count"))
             left += width
-    return _svg(len(summaries) * _BAR_ROW, "Reasons of each row's attempts on the true objects", lines)
+    return _svg(len(summaries) * _BAR_ROW, "Reasons of each row's trials on the true objects", lines)
 
 
 def reasons_legend(summaries: Mapping[str, Mapping[str, Any]]) -> str:
@@ -207,7 +207,7 @@ def write_curves(rows: Mapping[str, Sequence[float]], path: Path, *, title: str,
         rows: {name: values, mm}.
         path: An .svg file.
         title: Heading of the chart.
-        axis: What is counted along the bottom.
+        axis: Name of the numbers along the bottom.
 
     Returns:
         The path.

@@ -26,10 +26,10 @@ class Item:
 
     Attributes:
         name: Short and unlike the names of the other objects in the picture.
-        completion: What was made of the object.
+        completion: Completion of the object.
         grasps: Grasps planned on the completion, best first.
-        outcome: What the best grasp did, or None where it was not tried.
-        world: What the grasp was tried on: "true object", or "completed parts" where the truth is unknown.
+        outcome: Outcome of the best grasp, or None where it was not tried.
+        world: Object that the grasp was tried on: "true object", or "completed parts" where the truth is unknown.
         truth: True mesh in place, or None.
         errors: Distance of the completion from the truth, or None.
         grasp_s: Time that planning took, s.

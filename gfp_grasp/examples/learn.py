@@ -103,7 +103,7 @@ def learn(
         attempts: Grasps to learn from.
         held_out: Grasps to compare on, at the same seeds for both.
         limit: Objects of each split; up to 16 stay compiled.
-        seed: Of everything.
+        seed: Seed of every random choice.
 
     Returns:
         {"settings", "random" and "trained": {"held", "attempts", "rate", "interval": Wilson's, of 95 %}, "cpu_seconds":

@@ -163,9 +163,9 @@ def _charts_section(report: Report) -> str:
 <p>Lines from end to end are 95 % intervals (Wilson). A completion is worth what it adds to the hull of the seen points
 (observed); the true mesh (oracle) shows what the planner makes of a perfect one.</p>
 <div class="charts">
-<div class="card"><h3>The best grasp held: share of attempts</h3>{bracket_chart(summaries, BRACKETS)}
+<div class="card"><h3>The best grasp held: share of trials</h3>{bracket_chart(summaries, BRACKETS)}
 <div class="legend">{key}</div></div>
-<div class="card"><h3>How attempts on the true objects ended</h3>{reasons_chart(summaries)}
+<div class="card"><h3>How trials on the true objects ended</h3>{reasons_chart(summaries)}
 <div class="legend">{reasons_legend(summaries)}</div></div>
 </div>
 </section>"""
@@ -175,7 +175,7 @@ def _failures_section(report: Report, exhibits: Sequence[Exhibit]) -> str:
     """The gallery, or a sentence where there is nothing to show."""
     bracketed = has_oracle(report)
     if not exhibits:
-        nothing = "No row failed where the oracle held." if bracketed else "No attempt failed."
+        nothing = "No row failed where the oracle held." if bracketed else "No trial failed."
         return f'<section id="failures">\n<h2>Failures</h2>\n<p>{nothing}</p>\n</section>'
     figures = "\n".join(_figure(exhibit) for exhibit in exhibits)
     return f"""<section id="failures">

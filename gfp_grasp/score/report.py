@@ -1,4 +1,4 @@
-"""What came of every view under every method, and the methods side by side."""
+"""Results of every view under every method, and the methods side by side."""
 
 from __future__ import annotations
 

@@ -73,7 +73,7 @@ class ScoreConfig:
 
 @dataclass(frozen=True)
 class RowJob:
-    """What a row is made from; picklable.
+    """Seeds and names that a row is made from; picklable.
 
     Attributes:
         objects: Families, file or folder, as `scenes.load_objects` takes them.

@@ -24,7 +24,7 @@ def seen_colours(observed: np.ndarray) -> np.ndarray:
 
 
 def scale_end_mm(sigmas_m: Sequence[np.ndarray]) -> float:
-    """Where the scale ends, mm: a round number that covers 95 % of the vertices of all that is shown."""
+    """End of the scale, mm: a round number that covers 95 % of the vertices of all that is shown."""
     if not any(len(sigma) for sigma in sigmas_m):
         return _ENDS_MM[0]
     high_mm = 1000 * float(np.quantile(np.concatenate(sigmas_m), _COVERED))

@@ -16,7 +16,7 @@ from gfp_grasp.view.scene import scene_of_episode
 from gfp_grasp.view.server import HOST, PORT, Viewer, check_viser
 from gfp_grasp.view.text import line, outcome_text
 
-# The end of an attempt stays in sight for so long before all is put back.
+# The end of a trial stays in sight for so long before all is put back.
 _LINGER_S = 1.5
 
 
@@ -28,9 +28,9 @@ def view_episodes(
     Args:
         objects: Procedural families with commas between or "all", a mesh file, or a folder of meshes.
         gps: Folders of primitives of your own, as the environment's option takes them.
-        seed: Of the first episode; the button goes on to the next.
+        seed: Seed of the first episode; the button goes on to the next.
         host: Address to listen at.
-        port: To listen at, or the next that is free; 0 takes any.
+        port: Port to listen at, or the next one that is free; 0 takes any.
 
     Returns:
         The viewer, serving: `wait` for the user, and `stop` it.
@@ -71,7 +71,7 @@ class EpisodeViewer(Viewer):
             self._try = gui.add_button("try", color="green", hint="Approach, close, lift, shake, let go.")
             self._status = gui.add_html("")
         self._next.on_click(lambda _: self._told(lambda: self.reset(self.seed + 1)))
-        self._try.on_click(lambda _: self._told(lambda: self.attempt(int(self._rank.value) - 1)))
+        self._try.on_click(lambda _: self._told(lambda: self.try_grasp(int(self._rank.value) - 1)))
         self._rank.on_update(lambda event: self._point_at(int(self._rank.value) - 1) if event.client else None)
 
     @property
@@ -95,11 +95,11 @@ class EpisodeViewer(Viewer):
             self._rank.value = 1
         self._say(f"seed {seed}: {len(self.grasps)} grasps" if self.grasps else f"seed {seed}: no grasp found")
 
-    def attempt(self, rank: int = 0, *, play: bool = True) -> Motion:
+    def try_grasp(self, rank: int = 0, *, play: bool = True) -> Motion:
         """Try a planned grasp in the simulator and play what happened.
 
         Args:
-            rank: Of the grasp, 0 is the best.
+            rank: Rank of the grasp, 0 is the best.
             play: Whether to show it, at the pace of the world; the call returns when it is over.
 
         Raises:

@@ -103,7 +103,7 @@ class Viewer:
 
     @property
     def url(self) -> str:
-        """Where the page is."""
+        """Address of the page."""
         host = self.server.get_host()
         host = _OWN.get(host, f"[{host}]" if ":" in host else host)
         return f"http://{host}:{self.server.get_port()}"

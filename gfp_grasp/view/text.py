@@ -1,4 +1,4 @@
-"""What the viewer's panels say, as HTML whose every word is escaped: names of files can hold anything."""
+"""Text of the viewer's panels as HTML, whose every word is escaped: names of files can hold anything."""
 
 from __future__ import annotations
 
