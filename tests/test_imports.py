@@ -31,7 +31,16 @@ HEAVY = {
     "torch": ("register.", "detect.", "deform.", "train.", "bench.ablation"),
     "coacd": ("collision.",),
     "vhacdx": ("collision.",),
-    "mujoco": ("scenes", "camera.render", "envs.", "bench.hostile", "bench.vessels", "bench.trial", "bench.collision"),
+    "mujoco": (
+        "scenes",
+        "camera.render",
+        "envs.",
+        "bench.hostile",
+        "bench.vessels",
+        "bench.trial",
+        "bench.collision",
+        "examples.",
+    ),
     "ray": ("parallel.cluster",),
     "viser": ("view.",),
 }
@@ -272,7 +281,10 @@ def _edges() -> dict[str, set[str]]:
         room = path.relative_to(PACKAGE).parts[0].removesuffix(".py")
         if room == "__init__" or path.name == "__main__.py":
             continue
-        inner = {name.split(".")[1] for name in _imports(path) if name.startswith("gfp_grasp.")} - {"__version__"}
+        inner = {name.split(".")[1] for name in _imports(path) if name.startswith("gfp_grasp.")} - {
+            "__version__",
+            *gfp_grasp.__all__,
+        }
         edges.setdefault(room, set()).update(inner - {room})
     return edges
 
