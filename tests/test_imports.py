@@ -185,7 +185,7 @@ def test_no_print_and_no_bare_except_in_the_library() -> None:
     for path in MODULES:
         for node in ast.walk(_tree(path)):
             if isinstance(node, ast.Call) and isinstance(node.func, ast.Name):
-                assert node.func.id != "print", f"{_name(path)}:{node.lineno} prints"
+                assert path.parent.name == "examples" or node.func.id != "print", f"{_name(path)}:{node.lineno} prints"
             if isinstance(node, ast.ExceptHandler):
                 caught = ast.unparse(node.type) if node.type else "everything"
                 passed_on = isinstance(node.body[-1], ast.Raise) and node.body[-1].exc is None
