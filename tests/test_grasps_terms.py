@@ -1,6 +1,7 @@
 """Each term of the planner on bodies without symmetry, in poses without symmetry, against known answers."""
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -234,13 +235,16 @@ def test_the_height_above_a_slanted_support_is_that_of_the_lowest_corner_of_the_
 # Closing lines and poses
 
 
+def prism(profile, depth_m):
+    """A convex profile of (x, z) m as a solid of that depth along y."""
+    corners = [(x, y, z) for x, z in profile for y in (-depth_m / 2, depth_m / 2)]
+    return trimesh.convex.convex_hull(np.array(corners))
+
+
 def wedge():
     """Two faces at 20 degrees to each other: a closing line square to one meets the other within 20 degrees."""
     half = np.tan(np.deg2rad(10)) * 0.1
-    profile = np.array([(-half - 0.01, 0), (half + 0.01, 0), (0.01, 0.1), (-0.01, 0.1)])
-    mesh = trimesh.creation.extrude_polygon(trimesh.path.polygons.Polygon(profile), 0.05)
-    mesh.apply_transform(make_T(rotation_about((1, 0, 0), np.pi / 2)))
-    return mesh
+    return prism([(-half - 0.01, 0), (half + 0.01, 0), (0.01, 0.1), (-0.01, 0.1)], 0.05)
 
 
 @pytest.mark.parametrize("friction", [0.1, 0.5])
@@ -262,9 +266,7 @@ def test_closing_lines_end_on_the_mesh_within_the_cone_of_both_normals(friction)
 
 def test_a_line_has_to_lie_in_the_cones_of_both_ends():
     """One upright face, and one that leans by 20 degrees: no line is within 6 degrees of both normals."""
-    profile = [(-0.02, 0), (0.02 + np.tan(np.deg2rad(20)) * 0.1, 0), (0.02, 0.1), (-0.02, 0.1)]
-    mesh = trimesh.creation.extrude_polygon(trimesh.path.polygons.Polygon(profile), 0.2)
-    mesh.apply_transform(make_T(rotation_about((1, 0, 0), np.pi / 2)))
+    mesh = prism([(-0.02, 0), (0.02 + np.tan(np.deg2rad(20)) * 0.1, 0), (0.02, 0.1), (-0.02, 0.1)], 0.2)
     for friction, found in ((0.1, False), (0.3, True)):
         config = GraspConfig(friction=friction)
         start, end = cast_closing_lines(mesh, UP, config=config, rng=np.random.default_rng(0))
@@ -353,7 +355,9 @@ class Completed:
     detection: Detection
 
 
-def completion_of(mesh, *, observed=True, sigma_m=0.0, support=None, view=None, mask=None, viewpoint=None, parts=()):
+def completion_of(
+    mesh, *, observed: Any = True, sigma_m: Any = 0.0, support=None, view=None, mask=None, viewpoint=None, parts=()
+):
     points = np.asarray(mesh.vertices)
     box = OrientedBox(np.eye(4), np.ptp(points, axis=0))
     cloud = PointCloud(points, viewpoint)
@@ -463,7 +467,7 @@ def quality_at(T, mesh=None, *, at_tip=False, obstacle=None, support_m=0.0, conf
     poses, contacts = plan._close_on(poses, surface, config)
     obstacle = surface.points if obstacle is None else obstacle
     quality = plan._quality(poses, contacts, obstacle, completion, support, config)
-    return float(quality[0]) if len(quality) else None
+    return float(quality[0])
 
 
 def test_the_quality_of_a_grasp_is_the_product_of_what_was_said_of_it():

@@ -1,7 +1,11 @@
 """Worlds, masses, friction, poses and places of objects that are not symmetric."""
 
+# MuJoCo's names come from compiled modules, into which the type checker does not see.
+# pyright: reportAttributeAccessIssue=false
+
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import mujoco
 import numpy as np
@@ -304,13 +308,14 @@ def test_the_gripper_is_put_at_rest_and_no_wider_than_it_opens():
 # True objects
 
 
-class Told:
+class Told(np.random.Generator):
     """A generator that notes its ranges and gives a place in them."""
 
     def __init__(self, share):
+        super().__init__(np.random.PCG64())
         self.share, self.asked = share, []
 
-    def uniform(self, low, high):
+    def uniform(self, low, high):  # pyright: ignore[reportIncompatibleMethodOverride]
         self.asked.append((low, high))
         return low + self.share * (high - low)
 
@@ -404,7 +409,7 @@ def test_an_object_is_put_on_the_ground_and_keeps_its_own_axis_if_that_passes_th
 def test_plane_cuts_are_taken_where_they_are_true_enough_and_coacd_where_it_is_better(monkeypatch):
     part = as_part(box((0.05, 0.05, 0.05)))
 
-    def found(mean, high, maker="cuts"):
+    def found(mean, high, maker: Any = "cuts"):
         return CollisionMesh((part,), (mean, high, 2 * high), maker, 0.0)
 
     def choice(few, many, coacd):

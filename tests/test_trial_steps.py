@@ -1,5 +1,8 @@
 """The steps of a trial one by one, with poses and bodies that are not symmetric."""
 
+# MuJoCo's names come from compiled modules, into which the type checker does not see.
+# pyright: reportAttributeAccessIssue=false
+
 from types import SimpleNamespace
 
 import mujoco
