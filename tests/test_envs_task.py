@@ -3,6 +3,7 @@
 import inspect
 import pydoc
 from dataclasses import fields, replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -304,11 +305,19 @@ def test_observations_are_padded_thinned_and_clipped():
     assert not seen["completed"].any()
     np.testing.assert_array_equal(seen["depth"][0], [0, 1, 10, 3])
     many = np.random.default_rng(1).uniform(-0.5, 0.5, (40, 3))
+    chosen = set()
     for _ in range(5):
         thinned = observe(episode_with(many), config, rng)["observed"]
         rows = [int(np.flatnonzero((np.abs(many - row) < 1e-6).all(axis=1))[0]) for row in thinned]
         assert len(set(rows)) == 5
         assert rows == sorted(rows)
+        chosen |= set(rows)
+    assert len(chosen) > 10  # other points each time
+    far = trimesh.creation.box((0.1, 0.1, 0.1)).apply_translation((3.0, 0.0, -2.5))
+    completed = observe(episode_with(few, SimpleNamespace(mesh=far)), config, rng)["completed"]
+    np.testing.assert_array_equal(completed[:, 0], np.full(5, 2.0))
+    np.testing.assert_array_equal(completed[:, 2], np.full(5, -2.0))
+    assert np.abs(completed[:, 1]).max() <= 0.05
     assert observation_space(config).contains(seen)
 
 
@@ -347,7 +356,7 @@ def test_an_action_is_placed_within_the_workspace_axis_by_axis():
 
 def test_short_directions_are_taken_as_given_down_to_a_ten_thousandth():
     code = ActionCode()
-    for length, taken in ((0.05, True), (2e-4, True), (5e-5, False)):
+    for length, taken in ((0.05, True), (1.1e-4, True), (0.9e-4, False)):
         action = np.zeros(10)
         action[3], action[8] = length, length
         T = code.decode(action).T_world_gripper

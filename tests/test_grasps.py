@@ -296,6 +296,11 @@ def test_each_lever_resists_the_turn_about_its_own_axis():
     assert np.isnan(share((np.nan, np.nan, np.nan)))
 
 
+def test_the_widest_object_leaves_two_millimetres_to_either_jaw():
+    assert GraspConfig().max_width_m == pytest.approx(0.076)
+    assert GraspConfig(min_jaw_clearance_m=0.005).max_width_m == pytest.approx(0.070)
+
+
 @pytest.mark.parametrize("knob", [{"sway": -0.1}, {"side_preference": 3.0}, {"sway": float("inf")}])
 def test_a_share_that_is_none_is_refused(knob):
     with pytest.raises(InvalidOption, match=next(iter(knob))):

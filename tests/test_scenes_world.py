@@ -518,6 +518,16 @@ def test_places_are_even_over_the_disc_and_turns_over_the_circle():
     assert np.abs(np.corrcoef(yaw, np.arctan2(poses[:, 1, 3], poses[:, 0, 3]))[0, 1]) < 0.15
 
 
+def test_the_largest_is_placed_first():
+    """The first draw of an angle and a reach is that of the largest, whatever the order."""
+    circles = [(np.zeros(2), radius) for radius in (0.01, 0.05, 0.02)]
+    centres = placing._scatter(circles, np.random.default_rng(4), 0.2, 0.0)
+    rng = np.random.default_rng(4)
+    angle, reach = rng.uniform(0, 2 * np.pi), 0.15 * np.sqrt(rng.random())
+    assert centres is not None
+    np.testing.assert_allclose(centres[1], reach * np.array([np.cos(angle), np.sin(angle)]))
+
+
 def test_so_many_lie_on_their_side_as_are_asked_for():
     mesh = box((0.03, 0.04, 0.1), (0, 0, 0.05))
     for share in (0.0, 0.3, 1.0):
