@@ -477,6 +477,9 @@ def test_only_a_guessed_outline_is_taken_for_cut_off(monkeypatch):
         monkeypatch.setattr(fit_module, "evaluate_free_space", lambda *_, cost=cost: cost)
         fit_best(seen, [(wedge_primitive(), 0.0)], config=config)
         assert calls == expected
+    calls.clear()
+    fit_best(guessed, [(wedge_primitive(), 0.0)], config=replace(config, occlusion=False))
+    assert calls == []
     costs = iter([9.0, 7.0])
     monkeypatch.setattr(fit_module, "evaluate_free_space", lambda *_: next(costs))
     calls.clear()
@@ -491,11 +494,23 @@ def test_a_round_body_is_believed_by_the_share_of_the_class_that_is_round(monkey
     _, evidence = _half_seen_wedge()
     state = wedge_state(cost=10.0)
     rounded = wedge_state(cost=round_cost - 2.0, residual_m=1.0)
-    monkeypatch.setattr(fit_module, "refine", lambda *_: [rounded])
+    weights = []
+    monkeypatch.setattr(fit_module, "refine", lambda *given: weights.append(given[3].ellipticity) or [rounded])
     monkeypatch.setattr(fit_module, "blocking_cost", lambda *_: 2.0)
     monkeypatch.setattr(fit_module, "circular_share", lambda *_: share)
     found = fit_module.try_circular(state, wedge_primitive(), evidence, FitConfig())
     assert found.cost == pytest.approx(round_cost if is_round else 10.0)
+    assert weights == [0.0031]  # 0.3 mm on a cup
+
+
+def test_a_rounder_body_may_cost_more_than_another_hypothesis_but_the_margin_is_at_least_one(monkeypatch):
+    _, evidence = _half_seen_wedge()
+    states = [wedge_state(cost=10.0), wedge_state(cost=10.5, hypothesis="lying")]
+    monkeypatch.setattr(fit_module, "search_starts", lambda *_: Search(wedge_primitive(), 0.0, states))
+    monkeypatch.setattr(fit_module, "try_circular", lambda state, *_: replace(state, cost=state.cost + 2))
+    for roundness, cost, margin in ((True, 12.0, 1.0), (False, 10.0, 1.05)):
+        fit = fit_best(evidence, [(wedge_primitive(), 0.0)], config=replace(LIGHT, roundness=roundness))
+        assert (fit.cost, fit.margin) == pytest.approx((cost, margin))
 
 
 # ---- PCRNet

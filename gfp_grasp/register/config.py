@@ -92,6 +92,7 @@ class FitConfig:
         prune_margin: After the middle refinement, a start whose cost exceeds the best by more than this is pruned.
         rival_margin: After the first steps, a primitive whose best start exceeds another's by more than this is pruned.
         rival_margin_quick: The same margin after the quick steps.
+        occlusion: Ask whether something hides a part of a cloud that came without its view.
         roundness: Ask whether the body is as deep as it is wide.
         size: (3,) scale of every start along the primitive's axes, ones for its own; None estimates it from the points.
         refine: Refine the starts; False takes the best start as it is.
@@ -108,6 +109,7 @@ class FitConfig:
     prune_margin: float = 15.0
     rival_margin: float = 50.0
     rival_margin_quick: float = 25.0
+    occlusion: bool = True
     roundness: bool = True
     size: tuple[float, float, float] | None = None
     refine: bool = True

@@ -63,7 +63,7 @@ def fit_best(
     # One unit for all of them: costs of primitives can be compared only where they take the same misfit for likely.
     config = config.with_unit(float(np.median([primitive_size_m(primitive) for primitive, _ in candidates])))
     found = search_starts(evidence, candidates, config)
-    if config.refine and _is_cut_off(found, evidence, config):
+    if config.occlusion and config.refine and _is_cut_off(found, evidence, config):
         seen = evidence
         for straight in (True, False):
             evidence = cut_off(seen, straight=straight)
