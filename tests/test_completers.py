@@ -12,6 +12,7 @@ from scipy.spatial import KDTree
 from gfp_grasp.complete import Completion
 from gfp_grasp.completers import COMPLETERS, Oracle, get_completer, mirror_cloud, needs_class
 from gfp_grasp.errors import InvalidCloud, InvalidMesh, InvalidOption, UnknownCompleter
+from gfp_grasp.transforms import rotation_about
 from gfp_grasp.types import CollisionMesh, ConvexPart, Detection, OrientedBox, PointCloud, SupportPlane
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -70,6 +71,7 @@ def test_hulls_know_what_was_seen_and_cost_no_decomposition(name):
     assert not completion.observed[(vertices[:, 0] < -0.01) & inner].any()
     assert (completion.sigma_m > 0).all()
     assert completion.collision.made_by == "hull"
+    assert completion.collision.error_m == (0.0, 0.0, 0.0)
     assert len(completion.parts) == 1
     assert completion.parts[0].is_convex
 
@@ -127,6 +129,20 @@ def test_points_of_a_plane_have_no_hull(name):
     flat = front_of_cylinder() * (0.0, 1.0, 1.0)
     with pytest.raises(InvalidCloud, match="a plane or a line"):
         get_completer(name)(detection_of(flat))
+
+
+def test_points_that_are_flat_but_for_rounding_have_no_hull():
+    """A leaning plane, its points off it by less than a hundred thousandth of its size; 100 times as much is a hull."""
+    rng = np.random.default_rng(0)
+    flat = rng.uniform(-0.05, 0.05, (500, 3)) * (1, 1, 0)
+    R = rotation_about((1, 2, 3), 1.0)
+    for thickness_m, is_refused in ((1e-7, True), (1e-4, False)):
+        points = (flat + thickness_m * rng.uniform(-1, 1, (500, 3)) * (0, 0, 1)) @ R.T
+        if is_refused:
+            with pytest.raises(InvalidCloud, match="a plane or a line"):
+                get_completer("observed")(detection_of(points))
+        else:
+            assert get_completer("observed")(detection_of(points)).mesh.is_volume
 
 
 def test_the_mirror_needs_a_viewpoint():
