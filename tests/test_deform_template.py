@@ -50,7 +50,12 @@ def test_observed_points_come_back_in_the_primitives_frame_with_normals_that_fac
 
 def test_without_a_viewpoint_normals_face_away_from_the_fit():
     body = l_body()
-    for centre, normal in (((0.03, 0.0, 0.07), (1, 0, 0)), ((0.015, -0.02, 0.05), (0, -1, 0))):
+    for centre, normal in (
+        ((0.03, 0.0, 0.07), (1, 0, 0)),
+        ((0.0, 0.0, 0.07), (-1, 0, 0)),
+        ((0.015, -0.02, 0.05), (0, -1, 0)),
+        ((0.015, 0.03, 0.05), (0, 1, 0)),
+    ):
         template = template_points(fit_of(primitive_of(body)), view_of(disc(centre, normal)))
         assert template.normals == pytest.approx(np.tile(np.array(normal, float), (60, 1)), abs=1e-6)
 

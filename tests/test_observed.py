@@ -129,14 +129,16 @@ def test_a_detection_moves_with_all_that_it_holds():
     assert back.cloud.points == pytest.approx(detection.cloud.points)
 
 
-def test_without_a_viewpoint_x_of_the_level_frame_is_the_short_side():
-    """A block four times as long as wide, upright along a tilted up; its tail along +x says which way x points."""
+@pytest.mark.parametrize("side", [1, -1])
+def test_without_a_viewpoint_x_of_the_level_frame_is_the_short_side(side):
+    """A block four times as long as wide, upright along a tilted up; the side of its tail says which way x points."""
     rng = np.random.default_rng(0)
     points = rng.uniform((-0.02, -0.08, -0.03), (0.02, 0.08, 0.03), (3000, 3))
-    points = np.concatenate([points, rng.uniform((0.02, -0.01, -0.01), (0.035, 0.01, 0.01), (60, 3))])
+    tail = rng.uniform((0.02, -0.01, -0.01), (0.035, 0.01, 0.01), (60, 3))
+    points = np.concatenate([points, tail * (side, 1, 1)])
     T = level_frame(apply_T(T_WORLD_OBJECT, points), 3 * T_WORLD_OBJECT[:3, 2], None)
     assert T[:3, 2] == pytest.approx(T_WORLD_OBJECT[:3, 2])
-    assert T[:3, 0] @ T_WORLD_OBJECT[:3, 0] > 0.99
+    assert side * (T[:3, 0] @ T_WORLD_OBJECT[:3, 0]) > 0.99
     assert T[:3, 3] == pytest.approx(apply_T(T_WORLD_OBJECT, points.mean(axis=0)))
     assert np.linalg.det(T[:3, :3]) == pytest.approx(1)
 
