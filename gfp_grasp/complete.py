@@ -101,7 +101,7 @@ def complete_to_mesh(
         category: A class with a primitive; None lets the classifier and the fits choose.
         sensor: "tabletop" (a depth camera), "lidar", or a profile of your own: which noise and which sizes to expect.
         config: Switches.
-        seed: Of every random choice; the same seed gives the same answer, whatever the order of the points.
+        seed: Sets every random choice; the same seed gives the same answer, whatever the order of the points.
 
     Returns:
         The completion, in the frame of the cloud, m.
@@ -146,7 +146,7 @@ def complete_scene(
         up: (3,) normal of the support in the world frame; None estimates it.
         detector: Name of a detector, see `gfp_grasp.detect.get_detector`, or a function like `detect_objects`.
         config: Switches.
-        seed: Of every random choice.
+        seed: Sets every random choice.
 
     Returns:
         One completion an object; an object that no primitive fits is left out with a warning.
@@ -166,7 +166,7 @@ def complete_scene(
         try:
             done.append(complete_detection(detection, config=config, seed=seed))
         except FitDiverged as error:
-            warnings.warn(f"an object was left out: {error}", stacklevel=2)
+            warnings.warn(f"an object was left out: {error}", stacklevel=3)
             failure = error
     if failure is not None and not done:
         raise FitDiverged(f"no object of the picture could be completed; the last: {failure}")
@@ -180,7 +180,7 @@ def complete_detection(detection: Detection, *, config: CompleteConfig | None = 
     Args:
         detection: One object, world frame.
         config: Switches.
-        seed: Of every random choice.
+        seed: Sets every random choice.
 
     Raises:
         TooFewPoints: Too few points.
@@ -318,7 +318,7 @@ class _Clock:
     """Seconds by stage.
 
     Args:
-        laps: Of the stages before.
+        laps: Seconds of the stages before.
     """
 
     def __init__(self, laps: dict[str, float]) -> None:

@@ -51,7 +51,7 @@ def detect_single(
         up: (3,) the support's normal; None takes a plane under the object, or the camera's axes: of several
             elevations the one under which the object looks most like a known class; with a viewpoint that is not the
             origin, and no view, z where the camera is above the object, else another axis. `Detection.up` says which.
-        support_height: Of the table along up, m; None looks for it, and leaves support None where there is none.
+        support_height: Height of the table along up, m; None looks for it, and leaves support None where there is none.
         view: All that the sensor saw.
         mask: (h, w) bool, the object's pixels in it; None marks the pixels that the points fall on.
         category: Given class.
@@ -147,7 +147,7 @@ def _chosen_clusters(points: np.ndarray, labels: np.ndarray, sensor: SensorProfi
     tree = KDTree(points[labels == first])
     near = [k for k in others if tree.query(_few(points[labels == k]))[0].min() < _NEAR * sensor.sigma_m]
     fate = "taken for one object behind an occluder" if near else "only the biggest is used"
-    warnings.warn(f"the cloud holds {1 + len(others)} clusters; {len(near) + 1} of them: {fate}", stacklevel=4)
+    warnings.warn(f"the cloud holds {1 + len(others)} clusters; {len(near) + 1} of them: {fate}", stacklevel=5)
     return [first, *near]
 
 
@@ -195,7 +195,7 @@ def _likely_up(points: np.ndarray, viewpoint: np.ndarray | None, view: View | No
 
 
 def _possible_ups(points: np.ndarray, viewpoint: np.ndarray | None, view: View | None) -> list[np.ndarray]:
-    """A level camera's at likely elevations; with a view the world's z too; in a frame that is no camera's its axes."""
+    """Ups of a level camera at likely elevations, and z too with a view; the axes of a frame that is not a camera's."""
     if view is None and viewpoint is not None and np.linalg.norm(viewpoint) > _AT_ORIGIN_M:
         toward = np.asarray(viewpoint) - points.mean(axis=0)
         # Most worlds have z up, and a camera looks at a table from above.
