@@ -143,7 +143,7 @@ def test_a_saved_world_holds_its_objects_where_they_rest(tmp_path):
     T = make_T(rotation_about((0, 0, 1), 0.7), (-0.1, 0.1, 0.002))
     world.settle({"one": T})
     at_rest = world.pose("one")
-    world.data.qpos[:3] = 9.0
+    world.data.qpos[world.model.joint("one_free").qposadr[0]] = 9.0
     mujoco.mj_forward(world.model, world.data)
     world.save(tmp_path / "scene.xml")
     model = mujoco.MjModel.from_xml_path(str(tmp_path / "scene.xml"))
