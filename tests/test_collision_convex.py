@@ -65,6 +65,8 @@ def test_a_needle_face_has_no_say_in_what_lies_within():
     part = ConvexPart(np.vstack([box.vertices, needle]), np.vstack([box.faces, [[a, b, 8], [b, a, 8]]]))
     inside = np.array([[0.0, 0.049, -0.02], [0.0, -0.02, 0.049], [0.05 - 1e-6, 0.0, 0.0]])
     assert within_parts(inside, [part]).all()
+    assert within_parts(inside[:2], [part], margin_m=-9e-4).all()
+    np.testing.assert_allclose(PartFaces.of([part]).height(inside, 0), [-0.001, -0.001, -1e-6], atol=1e-9)
     assert not within_parts(np.add(inside, [0.1, 0, 0]), [part]).any()
 
 

@@ -26,7 +26,7 @@ from gfp_grasp.meshes import (
     vertex_normals,
 )
 from gfp_grasp.meshes.remesh import _level, remeshed
-from gfp_grasp.meshes.solid import _error_m, _joined
+from gfp_grasp.meshes.solid import _error_m, _filled, _joined
 from gfp_grasp.shapes import make_shape
 from gfp_grasp.transforms import make_T
 
@@ -96,6 +96,8 @@ def test_a_missing_file_and_an_unknown_suffix_are_refused(tmp_path):
         ([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], [[0, 1, 2], [1, 3, 2]], "flat"),
         ([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, np.nan]], [[0, 1, 2], [0, 1, 3]], "finite"),
         ([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], [[0, 1, 2], [0, 1, 9]], "9"),
+        ([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], [[0, 1, 2], [0, 1, 4]], "0 to 3 are legal"),
+        ([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], [[0, 1, 2], [0, 1, -1]], "from -1"),
     ],
 )
 def test_what_is_not_a_mesh_is_refused(vertices, faces, word):
@@ -291,6 +293,20 @@ def test_an_arm_without_its_end_is_closed_where_it_was(invert: bool):
     assert solid.volume == pytest.approx(whole.volume, rel=1e-5)
     np.testing.assert_allclose(solid.bounds, whole.bounds, atol=1e-7)
     assert error < 1e-6
+
+
+@pytest.mark.parametrize(("kept_m", "is_hole"), [(0.019, True), (0.0, False)])
+def test_a_hole_is_filled_and_an_opening_is_not(kept_m: float, is_hole: bool):
+    # A tube of 20 x 20 x 60 mm that is closed below; above it is open but for a rim, or altogether.
+    box = trimesh.creation.box((0.02, 0.02, 0.06)).subdivide().subdivide().subdivide()
+    above = box.triangles_center[:, 2] > 0.03 - 1e-9
+    opened = above & (np.abs(box.triangles_center[:, :2]).max(axis=1) < (0.0051 if kept_m else 0.01))
+    share = box.area_faces[opened].sum() / box.area
+    assert share < 0.06 if is_hole else share > 0.06
+    filled = _filled(trimesh.Trimesh(box.vertices, box.faces[~opened], process=False))
+    assert (filled is not None) is is_hole
+    if filled is not None:
+        assert filled.volume == pytest.approx(box.volume)
 
 
 def test_two_bars_that_cross_are_one_l_of_known_volume():
