@@ -48,7 +48,6 @@ MODULES = sorted(PACKAGE.rglob("*.py"))
 # Imports past a face that are still there, as "room -> module": strike out what you mend, add nothing.
 PAST_FACES = {
     "bench -> deform.gfpnet",
-    "bench -> deform.patches",
     "bench -> train.classifier_data",
     "bench -> train.gfpnet",
     "bench -> train.loop",
@@ -56,9 +55,7 @@ PAST_FACES = {
     "cli -> train.classifier",
     "cli -> train.gfpnet",
     "cli -> train.pcrnet",
-    "demo -> captures.read",
     "train -> deform.gfpnet",
-    "train -> deform.patches",
     "train -> detect.classifier",
 }
 # Files that still name a class: strike out what you mend, add nothing.
