@@ -146,7 +146,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--count", type=int, default=200, help="how many changes")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--json", type=Path, help="write the results here")
-    parser.add_argument("--tests", default="test_*.py", help="pattern of the test files that may be run")
+    parser.add_argument("--tests", nargs="*", default=["test_*.py"], help="patterns of the test files that may be run")
     parser.add_argument("--budget", type=float, default=20.0, help="seconds of tests that a change may cost")
     parser.add_argument("--limit", type=float, default=20.0, help="seconds that a change may cost beyond its tests")
     parser.add_argument("--jobs", type=int, default=1, help="changes tried side by side")
@@ -250,7 +250,7 @@ class _Records:
         ]
 
 
-def _records(trees: list[Path], package: str, pattern: str, scratch: Path) -> _Records:
+def _records(trees: list[Path], package: str, patterns: list[str], scratch: Path) -> _Records:
     files = sorted(f"tests/{path.name}" for path in (trees[0] / "tests").glob("test_*.py"))
 
     def make(wanted: list[tuple[str, str]]) -> None:
@@ -268,7 +268,12 @@ def _records(trees: list[Path], package: str, pattern: str, scratch: Path) -> _R
             pid, _ = os.wait()
             _say(f"  {len(missing) - len(waiting) - len(running) + 1}/{len(missing)} {running.pop(pid)}")
 
-    return _Records([f for f in files if fnmatch.fnmatch(Path(f).name, pattern)], package, trees[0], make)
+    return _Records(
+        [f for f in files if any(fnmatch.fnmatch(Path(f).name, pattern) for pattern in patterns)],
+        package,
+        trees[0],
+        make,
+    )
 
 
 def _executing(change: Change, tree: Path, package: str, records: list[Record]) -> tuple[set[str], set[str]]:

@@ -20,25 +20,33 @@ class Change:
         path: The module, relative to the project.
         line: Line at which the changed piece of source begins.
         operator: Name of the operator that made the change.
-        before: The piece of source.
-        after: What replaces the piece.
         lines: First and last line of the statement, without the body of a compound statement.
         body: First and last line of the function that uses the value; None for code that runs at import.
         names: Names that receive the value where the code runs at import.
         at_import: Whether the code runs when the module is imported.
+        pieces: The piece of source, and what replaces it.
         source: The whole module after the change.
     """
 
     path: str
     line: int
     operator: str
-    before: str
-    after: str
     lines: tuple[int, int]
     body: tuple[int, int] | None
     names: tuple[str, ...]
     at_import: bool
+    pieces: Callable[[], tuple[str, str]]
     source: Callable[[], str]
+
+    @property
+    def before(self) -> str:
+        """The piece of source, on one line."""
+        return self.pieces()[0]
+
+    @property
+    def after(self) -> str:
+        """What replaces the piece, on one line."""
+        return self.pieces()[1]
 
 
 def changes_of(root: Path, path: str) -> list[Change]:
@@ -189,12 +197,11 @@ class _Visitor(cst.CSTVisitor):
             path=self._path,
             line=self._span(node)[0],
             operator=operator,
-            before=self._shown(node),
-            after=self._shown(after),
             lines=self._span(statement, header_only=True),
             body=self._span(function.body) if function is not None and is_default else None,
             names=tuple(name for target in targets for name in _names(target)),
             at_import=function is None or is_default,
+            pieces=lambda: (self._shown(node), self._shown(after)),
             source=lambda: self._module.deep_replace(node, after).code,  # type: ignore[union-attr]
         )
 
