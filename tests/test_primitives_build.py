@@ -134,6 +134,61 @@ def test_outlier_bends_neither_mean_nor_main_modes_but_is_expressed():
     assert np.linalg.norm(rebuilt - odd[0], axis=1).mean() < 0.001
 
 
+def _members_of_known_spread(deviations, count=60, seed=3):
+    """Members about one mean, along orthogonal axes, of known standard deviations; their scales cannot tell them."""
+    rng = np.random.default_rng(seed)
+    mean = 0.05 * rng.normal(size=(150, 3))
+    rows = [mean[:, k] / np.linalg.norm(mean[:, k]) for k in range(3)]
+    basis = np.zeros((3, 450))
+    for k in range(3):
+        basis[k].reshape(150, 3)[:, k] = rows[k]
+    free = rng.normal(size=(len(deviations), 450))
+    free -= free @ basis.T @ basis  # what no change of scale explains
+    axes = np.linalg.qr(free.T)[0].T
+    scores = rng.normal(size=(count, len(deviations)))
+    scores -= scores.mean(axis=0)
+    scores = np.linalg.qr(scores)[0] * np.sqrt(count - 1) * deviations
+    return mean, (mean + (scores @ axes).reshape(count, 150, 3))
+
+
+@pytest.mark.parametrize(("variance", "kept"), [(0.55, 1), (0.8, 2), (0.95, 3), (1.0, 4)])
+def test_fewest_modes_that_explain_the_variance_are_kept(variance, kept):
+    # Shares of the variance: 16, 8, 3 and 1 of 28.
+    mean, members = _members_of_known_spread(0.001 * np.sqrt([16.0, 8.0, 3.0, 1.0]))
+    model = shape_model(members, np.ones(150), variance=variance, outlier_beyond=10.0)
+    assert len(model.modes) == kept
+    np.testing.assert_allclose(model.explained, np.array([16, 8, 3, 1])[:kept] / 28, rtol=0.02)
+    np.testing.assert_allclose(model.mean, mean, atol=1e-5)
+    assert model.variance_m2 == pytest.approx(28e-6 / 150, rel=0.01)
+    # One standard deviation each, and the free sign is fixed.
+    sizes = np.sqrt((model.modes**2).sum(axis=(1, 2)))
+    np.testing.assert_allclose(sizes, 0.001 * np.sqrt([16.0, 8.0, 3.0, 1.0])[:kept], rtol=0.02)
+    assert (model.modes.sum(axis=(1, 2)) > 0).all()
+
+
+def test_there_are_no_more_modes_than_asked_for_and_none_without_variance():
+    _, members = _members_of_known_spread(0.001 * np.sqrt([16.0, 8.0, 3.0, 1.0]))
+    assert len(shape_model(members, np.ones(150), variance=1.0, max_modes=2, outlier_beyond=10.0).modes) == 2
+    _, members = _members_of_known_spread(0.001 * np.sqrt([16.0, 8.0, 1e-5]))
+    assert len(shape_model(members, np.ones(150), variance=1.0, outlier_beyond=10.0).modes) == 2  # a millionth
+
+
+def test_a_member_beyond_two_and_a_half_medians_is_an_outlier():
+    mean, members = _members_of_known_spread(0.001 * np.ones(40), count=41)
+    distance = np.linalg.norm(members - mean, axis=(1, 2))
+    for factor, odd in ((2.2, False), (2.9, True)):
+        stretched = members.copy()
+        stretched[5] = mean + (members[5] - mean) * factor * np.median(distance) / distance[5]
+        assert shape_model(stretched, np.ones(150)).outlier[5] == odd
+
+
+def test_members_turned_over_are_refused():
+    rng = np.random.default_rng(0)
+    shape = rng.normal(size=(50, 3))
+    with pytest.raises(InvalidMesh, match="turned over"):
+        shape_model(np.stack([shape, shape, shape * [1, 1, -1]]), np.ones(50))
+
+
 def test_one_member_makes_no_class():
     with pytest.raises(InvalidMesh, match="at least two"):
         shape_model(np.zeros((1, 5, 3)), np.ones(5))
@@ -178,6 +233,26 @@ def test_built_primitive_is_a_clean_upright_volume(thin_primitive):
     assert thin_primitive.card["members_used"] == 6
 
 
+def test_built_primitive_has_the_figures_that_it_had_when_the_shipped_ones_were_built(thin_primitive):
+    """Whoever changes the build on purpose builds the shipped primitives again, measures, and then changes these."""
+    mesh = trimesh.Trimesh(thin_primitive.vertices, thin_primitive.faces, process=False)
+    assert len(mesh.vertices) == pytest.approx(851, rel=0.02)
+    np.testing.assert_allclose(mesh.extents, [0.08103, 0.08112, 0.09800], rtol=2e-3)
+    assert 1e6 * mesh.volume == pytest.approx(38.99, rel=0.01)
+    assert 1e4 * mesh.area == pytest.approx(447.4, rel=0.01)
+    assert (thin_primitive.regions == INSIDE).sum() == pytest.approx(381, rel=0.05)
+    np.testing.assert_allclose(thin_primitive.explained, [0.703, 0.170, 0.050, 0.047, 0.030], atol=0.015)
+    sizes_mm = 1e3 * np.linalg.norm(thin_primitive.modes, axis=2).mean(axis=1)
+    np.testing.assert_allclose(sizes_mm, [0.622, 0.262, 0.135, 0.140, 0.101], rtol=0.1)
+    cov = thin_primitive.log_scale_cov
+    np.testing.assert_allclose(np.sqrt(np.diag(cov)), [0.0586, 0.0589, 0.1221], rtol=0.01)
+    assert cov[0, 2] / np.sqrt(cov[0, 0] * cov[2, 2]) == pytest.approx(-0.052, abs=0.02)
+    low, high = (np.array(extents) for extents in thin_primitive.spec.size_range_m)
+    np.testing.assert_allclose(low, [0.0719, 0.0719, 0.0812], rtol=5e-3)
+    np.testing.assert_allclose(high, [0.0857, 0.0857, 0.1123], rtol=5e-3)
+    assert thin_primitive.spec.rests["upright"] == pytest.approx(0.980, abs=0.01)
+
+
 def test_wall_of_one_and_a_half_millimetres_survives_it_all(thin_primitive):
     height = float(thin_primitive.vertices[:, 2].max())
     limits = {"low": 0.15 * height, "high": 0.9 * height}
@@ -200,8 +275,10 @@ def test_primitive_fits_a_new_member_whole(thin_primitive):
 def test_report_measures_held_out_members(thin_primitive):
     figures = measure_primitive(thin_primitive, [cup(bottom=0.028, wall=0.0015)])
     assert figures.held_out == 1
-    assert figures.generalization_mm < 0.6
-    assert 0 < figures.specificity_mm < 20
+    assert figures.generalization_mm == figures.generalization_worst_mm == pytest.approx(0.126, abs=0.02)
+    assert figures.generalization_median_mm == figures.generalization_mm
+    assert figures.specificity_mm == pytest.approx(2.86, rel=0.05)
+    assert figures.variance_kept == pytest.approx(1.0, abs=1e-6)
     assert figures.figures()["vertices"] == len(thin_primitive.vertices)
     with pytest.raises(InvalidOption, match="held-out"):
         measure_primitive(thin_primitive, [])
