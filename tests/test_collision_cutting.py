@@ -30,7 +30,7 @@ def test_a_trough_is_cut_into_parts_that_leave_it_hollow():
     found = cut_parts(TROUGH)
     assert len(found.parts) == 13
     assert found.notes["volume_ratio"] == pytest.approx(1.0708, abs=1e-3)
-    assert found.notes["concavity_m"] <= 0.001
+    assert found.notes["concavity_m"] <= 0.001  # pyright: ignore[reportOperatorIssue]
     middle = np.array([[x, y, z] for x in (0.015, 0.045) for y in (0.015, 0.025) for z in (0.01, 0.049)])
     assert not within_parts(middle, found.parts).any()
     assert within_parts(TROUGH.vertices, found.parts, margin_m=2e-5).any(axis=1).all()
@@ -55,7 +55,7 @@ def test_a_pocket_is_left_where_it_is_no_deeper_than_the_bound(depth_m: float, i
     np.testing.assert_allclose(_measured(_solid(dented)).deepest[2], 0.03 - depth_m, atol=1e-8)
     found = cut_parts(dented)
     assert (len(found.parts) > 1) is is_cut
-    assert found.notes["concavity_m"] <= 0.001
+    assert found.notes["concavity_m"] <= 0.001  # pyright: ignore[reportOperatorIssue]
     assert len(cut_parts(dented, concavity_m=0.0012).parts) == 1
 
 
