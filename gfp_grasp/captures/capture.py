@@ -44,22 +44,28 @@ class Capture:
 
 
 def complete_capture(
-    capture: Capture, *, category: str | None = None, config: CompleteConfig | None = None, seed: int = 0
+    capture: Capture,
+    *,
+    category: str | None = None,
+    detector: str = "tabletop",
+    config: CompleteConfig | None = None,
+    seed: int = 0,
 ) -> tuple[Completion, ...]:
     """Complete the one object whose points are known, or else every object of the picture.
 
     Args:
         capture: The recording.
         category: As complete_to_mesh takes it; a whole picture's objects are classified one by one.
+        detector: Name of the detector for a whole picture, see `gfp_grasp.detect.get_detector`.
         config: Switches.
-        seed: Of every random choice.
+        seed: Seed of every random choice.
 
     Raises:
         GfpGraspError: As complete_to_mesh and complete_scene raise it.
     """
     if capture.points is None:
         assert capture.view is not None
-        return complete_scene(capture.view, up=capture.up, config=config, seed=seed)
+        return complete_scene(capture.view, up=capture.up, detector=detector, config=config, seed=seed)
     completion = complete_to_mesh(
         capture.points,
         viewpoint=capture.viewpoint,

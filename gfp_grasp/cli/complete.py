@@ -8,7 +8,7 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from gfp_grasp.cli.terminal import Files, Gps, Seed, check_outputs, err, table, vector
+from gfp_grasp.cli.terminal import Detector, Files, Gps, Seed, check_outputs, err, table, vector
 
 
 def complete(
@@ -21,6 +21,7 @@ def complete(
     support_height: Annotated[float | None, typer.Option(help="Height of the support along up, metres.")] = None,
     category: Annotated[str | None, typer.Option(help="Class of the object; left out, it is found.")] = None,
     folders: Gps = None,
+    detector: Detector = "tabletop",
     files: Files = False,
     max_parts: Annotated[int, typer.Option(help="Most convex parts.")] = 80,
     max_vertices: Annotated[int | None, typer.Option(help="Most vertices of each part.")] = None,
@@ -50,7 +51,9 @@ def complete(
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
         warnings.simplefilter("always", RuntimeWarning)
-        completions = complete_capture(replace(capture, **given), category=category, config=config, seed=seed)
+        completions = complete_capture(
+            replace(capture, **given), category=category, detector=detector, config=config, seed=seed
+        )
         counts = [len(completion.parts) for completion in completions]
     for warning in caught:
         err.print(f"note: {warning.message}", style="yellow", markup=False, soft_wrap=True)

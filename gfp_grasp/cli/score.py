@@ -6,6 +6,7 @@ from typing import Annotated
 import typer
 
 from gfp_grasp.cli.terminal import (
+    Detector,
     Gps,
     JsonFile,
     Limit,
@@ -35,6 +36,7 @@ def score(
     limit: Limit = None,
     classes: Annotated[str | None, typer.Option(help="Of the folder's objects, with commas between; * is all.")] = None,
     folders: Gps = None,
+    detector: Detector = "tabletop",
     workers: Workers = 1,
     ray: Ray = None,
     json_file: JsonFile = None,
@@ -63,6 +65,7 @@ def score(
         limit=limit,
         classes=tuple(classes.split(",")) if classes else None,
         gps=gps_option(folders),
+        detector=detector,
     )
     if page is not None:
         prepare_folder(page)  # refused now, not after a night's work
@@ -79,5 +82,5 @@ def score(
     if picture is not None:
         write_picture(report, picture)
     if page is not None:
-        made = write_score_page(report, page, objects=objects, split=split, progress=track("failures"))
+        made = write_score_page(report, page, objects=objects, config=config, progress=track("failures"))
         out.print(f"open {made}", markup=False, highlight=False, soft_wrap=True)

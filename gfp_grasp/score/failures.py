@@ -10,12 +10,12 @@ import numpy as np
 from PIL import Image
 
 from gfp_grasp.drawing import filmed_trial, overlay, spoken, write_clip
-from gfp_grasp.envs import EnvConfig, Episode, GraspTask
+from gfp_grasp.envs import Episode, GraspTask
 from gfp_grasp.errors import CannotWrite, GfpGraspError, InvalidOption
 from gfp_grasp.parallel import Progress
 from gfp_grasp.scenes import load_objects
 from gfp_grasp.score.report import Report, ScoreRow, method_names
-from gfp_grasp.score.rows import as_step, best_grasps
+from gfp_grasp.score.rows import ScoreConfig, as_step, best_grasps, task_of
 from gfp_grasp.types import Grasp
 
 ORACLE = "oracle"
@@ -100,28 +100,26 @@ def _count(chosen: Sequence[ScoreRow], name: str) -> int:
 
 def make_exhibits(
     rows: Sequence[ScoreRow],
-    report: Report,
     directory: Path,
     *,
     objects: str | Path,
-    split: str,
+    config: ScoreConfig,
     progress: Progress | None = None,
 ) -> tuple[Exhibit, ...]:
     """Make rows again and write failure-1.png, failure-1.gif and so on.
 
     Args:
         rows: Rows of the report.
-        report: The report; its settings tell how grasps were planned.
         directory: A folder that is there.
         objects: Objects that were scored, as `score` took them.
-        split: Split of procedural families.
+        config: Config of the score.
         progress: Wraps the stream of exhibits, told how many there will be.
 
     Raises:
         InvalidOption: The objects are not those of the report.
         CannotWrite: A picture.
     """
-    numbers = {source.name: number for number, source in enumerate(load_objects(objects, split))}
+    numbers = {source.name: number for number, source in enumerate(load_objects(objects, config.split))}
     strange = sorted({row.object for row in rows} - set(numbers))
     if strange:
         raise InvalidOption(
@@ -129,30 +127,27 @@ def make_exhibits(
             "name the objects and the split that were scored"
         )
     watch = progress or (lambda exhibits, total: exhibits)
-    return tuple(watch(_made_again(rows, report, directory, str(objects), split, numbers), len(rows)))
+    return tuple(watch(_made_again(rows, directory, str(objects), config, numbers), len(rows)))
 
 
 def _made_again(
-    rows: Sequence[ScoreRow], report: Report, directory: Path, objects: str, split: str, numbers: dict[str, int]
+    rows: Sequence[ScoreRow], directory: Path, objects: str, config: ScoreConfig, numbers: dict[str, int]
 ) -> Iterator[Exhibit]:
-    tasks: dict[str, GraspTask] = {}
     for place, row in enumerate(rows, start=1):
-        name, _ = method_names(row.completer)
-        if name not in tasks:
-            clutter = int(str(report.settings.get("clutter", 0)))
-            tasks[name] = GraspTask(EnvConfig(objects=objects, split=split, clutter=clutter, completer=name))
-        yield _exhibit(row, tasks[name], numbers[row.object], report, directory / f"failure-{place}")
+        task = task_of(objects, config, method_names(row.completer)[0])
+        yield _exhibit(row, task, numbers[row.object], config, directory / f"failure-{place}")
 
 
-def _exhibit(row: ScoreRow, task: GraspTask, number: int, report: Report, stem: Path) -> Exhibit:
+def _exhibit(row: ScoreRow, task: GraspTask, number: int, config: ScoreConfig, stem: Path) -> Exhibit:
     episode = task.draw(np.random.default_rng(row.episode_seed), number=number)
     picture, clip = stem.with_suffix(".png"), stem.with_suffix(".gif")
     try:
         _write_picture(episode, picture)
         if row.quality is None:
             return Exhibit(row, picture.name, note=row.note or "there was no grasp to try")
-        num, seed = (int(str(report.settings[name])) for name in ("grasps", "seed"))
-        found = () if episode.completion is None else best_grasps(episode.completion, row.completer, num, seed)[0]
+        found = ()
+        if episode.completion is not None:
+            found = best_grasps(episode.completion, row.completer, config.grasps, config.seed)[0]
         if not found:
             return Exhibit(row, picture.name, note="made again, there was no grasp to try")
         reason = _film(task, as_step(found[0]), clip)

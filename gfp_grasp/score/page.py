@@ -16,6 +16,7 @@ from gfp_grasp.parallel import Progress
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.score.failures import RULE, Exhibit, choose_failures, has_oracle, make_exhibits
 from gfp_grasp.score.report import BRACKETS, Report
+from gfp_grasp.score.rows import ScoreConfig
 
 FILE, FIGURES = "index.html", "score.json"
 _WORDS = ("completer", "failures")  # columns of words, which start at the left and may break
@@ -47,7 +48,7 @@ def write_score_page(
     directory: str | Path,
     *,
     objects: str | Path,
-    split: str | None = None,
+    config: ScoreConfig | None = None,
     progress: Progress | None = None,
 ) -> Path:
     """Write index.html with its pictures, and score.json beside it.
@@ -59,7 +60,7 @@ def write_score_page(
         report: Report of the score.
         directory: Folder to write; it is made if it is not there.
         objects: Objects that were scored, as `score` took them.
-        split: Split of procedural families; None takes the report's.
+        config: Config of the score; None takes the report's settings, which name no folder of primitives.
         progress: Wraps the stream of failures, told how many there will be.
 
     Returns:
@@ -74,8 +75,8 @@ def write_score_page(
     exhibits: tuple[Exhibit, ...] = ()
     chosen = choose_failures(report)
     if chosen:
-        split = str(report.settings["split"]) if split is None else split
-        exhibits = make_exhibits(chosen, report, folder, objects=objects, split=split, progress=progress)
+        config = config or _config_of(report.settings)
+        exhibits = make_exhibits(chosen, folder, objects=objects, config=config, progress=progress)
     write_whole(folder / FILE, _page(report, exhibits, command=_command(report.settings, folder.resolve().name)))
     return folder / FILE
 
@@ -122,6 +123,11 @@ they lie. One trial is made again by <code>GfpGraspEnv(objects=..., completer=..
     return html_page("gfp_grasp: what completions are worth", body, css=_css())
 
 
+def _config_of(settings: Mapping[str, Any]) -> ScoreConfig:
+    names = ("views", "grasps", "seed", "split", "clutter", "detector")
+    return ScoreConfig(**{name: settings[name] for name in names if name in settings})
+
+
 def _css() -> str:
     return files("gfp_grasp.score").joinpath("page.css").read_text(encoding="utf-8")
 
@@ -136,7 +142,7 @@ def _command(settings: Mapping[str, Any], directory: str) -> str:
         "--completers",
         ",".join(settings["completers"]),
     ]
-    for name in ("views", "grasps", "seed", "split", "clutter"):
+    for name in ("views", "grasps", "seed", "split", "clutter", "detector"):
         words += [f"--{name}", str(settings[name])] if name in settings else []
     met = settings["num_objects"] + len(settings.get("ungraspable", ()))  # the limit counts what is left out, too
     words += ["--limit", str(met)]

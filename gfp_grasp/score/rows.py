@@ -47,6 +47,7 @@ class ScoreConfig:
         classes: Classes whose objects are scored; None takes those that have a primitive and objects of unknown class,
             ("*",) takes all.
         gps: Folders of primitives of your own, as the environment's option takes them.
+        detector: Name of what finds the object in the picture, see `gfp_grasp.detect.get_detector`.
     """
 
     views: int = 4
@@ -57,6 +58,7 @@ class ScoreConfig:
     limit: int | None = None
     classes: tuple[str, ...] | None = None
     gps: str = ""
+    detector: str = "tabletop"
 
     def __post_init__(self) -> None:
         limit = 1 if self.limit is None else self.limit
@@ -113,7 +115,7 @@ def make_row(job: RowJob) -> ScoreRow:
     """Make a row from its seeds: the same job gives the same row, but for its timings."""
     config = job.config
     started = time.perf_counter()
-    task = _task(job.objects, config, method_names(job.method)[0])
+    task = task_of(job.objects, config, method_names(job.method)[0])
     episode = task.draw(np.random.default_rng(job.episode_seed), number=job.number)
     completed_at = time.perf_counter()
     found, note = (), episode.failure
@@ -211,10 +213,15 @@ def as_step(grasp: Grasp) -> Grasp:
 
 
 @lru_cache(maxsize=16)
-def _task(objects: str, config: ScoreConfig, completer_name: str) -> GraspTask:
+def task_of(objects: str, config: ScoreConfig, completer_name: str) -> GraspTask:
     """One task a process and completer, so that scenes are compiled once; a score goes object by object."""
     env = EnvConfig(
-        objects=objects, gps=config.gps, split=config.split, clutter=config.clutter, completer=completer_name
+        objects=objects,
+        gps=config.gps,
+        detector=config.detector,
+        split=config.split,
+        clutter=config.clutter,
+        completer=completer_name,
     )
     return GraspTask(env, num_kept=1 + config.clutter)
 

@@ -10,6 +10,7 @@ from typing import Any
 
 from gfp_grasp import __version__
 from gfp_grasp.completers import get_completer
+from gfp_grasp.detect import get_detector
 from gfp_grasp.envs import TrialSettings
 from gfp_grasp.errors import GfpGraspError, InvalidMesh, InvalidOption
 from gfp_grasp.grasps import get_planner
@@ -87,6 +88,9 @@ def score(
         "seed": int(config.seed),
         "trial": asdict(TrialSettings()),
     }
+    get_detector(config.detector)
+    if config.detector != "tabletop":
+        settings["detector"] = config.detector
     if config.gps:
         settings["gps"] = [folder.name for folder in PrimitiveLibrary.from_option(config.gps).folders[1:]]
     return Report(settings, _rows(jobs, settings, journal, progress=progress, **how))
