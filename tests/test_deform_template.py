@@ -168,3 +168,14 @@ def test_a_mirrored_point_is_dropped_where_the_fit_is_not(share, is_kept):
     points = disc(centre + share * bound * out, out, radius=1e-4)
     template = template_points(fit_of(primitive), view_of(points, EYE))
     assert template.mirrored.sum() == (len(points) if is_kept else 0)
+
+
+def test_without_a_viewpoint_normals_of_an_inner_wall_face_the_axis():
+    """Points all around the inside of the cup, 0.2 mm off it: away from the points' middle is into the wall."""
+    primitive = toy_cup_primitive()
+    inner = primitive.vertices[(primitive.regions == 1) & (np.linalg.norm(primitive.vertices[:, :2], axis=1) > 0.02)]
+    inward = -inner * (1, 1, 0) / np.linalg.norm(inner[:, :2], axis=1, keepdims=True)
+    template = template_points(fit_of(primitive), view_of(inner + 2e-4 * inward), symmetry=False)
+    at = KDTree(inner + 2e-4 * inward).query(template.points)[1]
+    below_rim = template.points[:, 2] < 0.8 * primitive.vertices[:, 2].max()
+    assert (np.einsum("ni,ni->n", template.normals, inward[at])[below_rim] > 0.5).mean() > 0.9
