@@ -5,8 +5,7 @@
 
 from typing import TYPE_CHECKING
 
-from gfp_grasp.camera.cast import cast_rays, render_mesh_view
-from gfp_grasp.camera.organised import view_from_points
+from gfp_grasp.camera.cast import cast_rays, render_mesh_view, visible_points
 from gfp_grasp.camera.pinhole import (
     camera_points,
     cloud_of,
@@ -14,11 +13,11 @@ from gfp_grasp.camera.pinhole import (
     mask_of_points,
     pixel_rays,
     pixels_of,
+    sample_viewpoint,
     surface_normals,
+    view_from_points,
 )
 from gfp_grasp.camera.sensor import SensorModel, apply_sensor
-from gfp_grasp.camera.views import sample_viewpoint
-from gfp_grasp.camera.visibility import visible_points
 
 if TYPE_CHECKING:
     from gfp_grasp.camera.render import render_depth

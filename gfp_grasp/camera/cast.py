@@ -13,6 +13,8 @@ from gfp_grasp.types import DepthImage
 # Beyond this a desk-top depth camera returns nothing; it also ends the table, which is a whole plane.
 FARTHEST_M = 3.0
 
+_LIFT = 1 / 300  # a ray to the viewpoint starts this far off its own surface, as a share of the surface's diagonal
+
 
 def render_mesh_view(
     meshes: Sequence[trimesh.Trimesh],
@@ -112,3 +114,26 @@ def _checked(mesh: trimesh.Trimesh, index: int) -> tuple[np.ndarray, np.ndarray]
     if len(faces) and not (faces.min() >= 0 and faces.max() < len(vertices)):
         raise InvalidMesh(f"mesh {index} has a face index outside its {len(vertices)} vertices")
     return vertices, faces
+
+
+def visible_points(
+    vertices: np.ndarray, faces: np.ndarray, points: np.ndarray, normals: np.ndarray, viewpoint: np.ndarray
+) -> np.ndarray:
+    """Points of a mesh's surface that face a viewpoint and that nothing of the mesh hides from it.
+
+    Args:
+        vertices: (v, 3) m.
+        faces: (f, 3), outward.
+        points: (n, 3) m, on the surface.
+        normals: (n, 3) unit, outward.
+        viewpoint: (3,) m, same frame.
+
+    Returns:
+        (n,) bool.
+    """
+    lift_m = _LIFT * float(np.linalg.norm(np.ptp(vertices, axis=0)))
+    sight = viewpoint - points
+    sight /= np.linalg.norm(sight, axis=1, keepdims=True)
+    facing = np.einsum("ni,ni->n", normals, sight) > 0
+    hit, _, _ = cast_rays([(vertices, faces)], points + lift_m * normals + lift_m * sight, sight)
+    return facing & ~np.isfinite(hit)

@@ -4,9 +4,8 @@ from typing import TYPE_CHECKING
 
 from gfp_grasp.detect.box import upright_box
 from gfp_grasp.detect.clusters import label_picture, label_points
-from gfp_grasp.detect.detector import DetectConfig, detect_objects, make_detection
+from gfp_grasp.detect.detector import DetectConfig, detect_objects, estimate_sigma, make_detection
 from gfp_grasp.detect.detectors import DETECTORS, Detector, get_detector
-from gfp_grasp.detect.noise import estimate_sigma
 from gfp_grasp.detect.single import detect_single
 from gfp_grasp.detect.support import find_support
 from gfp_grasp.detect.validate import clean_cloud, numbers_of
