@@ -77,6 +77,14 @@ def _doubled(node: cst.Float) -> Iterator[cst.BaseExpression]:
         yield node.with_changes(value=repr(value / 2))
 
 
+def _changed_count(node: cst.Integer) -> Iterable[cst.BaseExpression]:
+    """One more, where that is another number; a count of ten or more is doubled or halved."""
+    value = node.evaluated_value
+    if value < 10:
+        return mutators.operator_number(node)
+    return (node.with_changes(value=str(value * 2)), node.with_changes(value=str(value // 2)))
+
+
 def _negated(node: cst.If | cst.CompIf) -> Iterator[cst.CSTNode]:
     """The other branch; mutmut changes the operators within a condition only."""
     test = node.test.with_changes(lpar=[cst.LeftParen()], rpar=[cst.RightParen()])
@@ -122,7 +130,7 @@ _WHOLE = m.Integer(value=m.MatchIfTrue(lambda value: value != "0")) | m.Call(fun
 # Arguments that say again what is true anyway, mostly.
 _GUARDS = ("dtype", "strict", "encoding")
 _OPERATORS: tuple[tuple[type | UnionType, Callable[..., Iterable[cst.CSTNode]]], ...] = (
-    (cst.Integer, mutators.operator_number),
+    (cst.Integer, _changed_count),
     (cst.Float, _doubled),
     (cst.SimpleString, _changed_string),
     (cst.Name, mutators.operator_name),

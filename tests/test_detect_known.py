@@ -92,7 +92,7 @@ def test_extents_between_fifteen_millimetres_and_five_metres_are_metres(size: fl
     assert len(clean_cloud(20 * points, sensor=LIDAR)) == len(points)
 
 
-@pytest.mark.parametrize(("thickness", "flat"), [(2e-5, True), (1e-3, False)])
+@pytest.mark.parametrize(("thickness", "flat"), [(8e-5, True), (1.3e-4, False)])
 def test_a_cloud_a_ten_thousandth_as_thick_as_long_is_flat(thickness: float, flat: bool) -> None:
     rng = np.random.default_rng(0)
     sheet = rng.normal(size=(500, 3)) * [0.1, 0.1, 0.1 * thickness] + [0.3, 0.2, 0.1]
@@ -225,6 +225,10 @@ def test_a_mask_is_kept_where_it_covers_a_tenth_of_the_points() -> None:
     detection = detect_single(points, view=image, mask=part.astype(float), category="cup")
     np.testing.assert_array_equal(detection.mask, part)
     np.testing.assert_array_equal(detection.cloud.viewpoint, EYE)
+    seen = np.flatnonzero(index.ravel() == 0)
+    few = np.zeros(part.size, dtype=bool)
+    few[seen[::7]] = True  # one in seven
+    assert detect_single(points, view=image, mask=few.reshape(part.shape), category="cup").mask is not None
     some = np.zeros_like(part)
     some[np.nonzero(index == 0)[0][:20], np.nonzero(index == 0)[1][:20]] = True
     with pytest.raises(InvalidView, match="covers"):
