@@ -18,7 +18,7 @@ from gfp_grasp.deform import (
     template_points,
 )
 from gfp_grasp.deform.fold_free import damp_until_solid, diffuse
-from gfp_grasp.deform.gfpnet import FIT, PaperNet, PatchNet, make_network
+from gfp_grasp.deform.gfpnet import NUM_FIT, PaperNet, PatchNet, make_network
 from gfp_grasp.deform.patches import blend
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.level import make_level_view
@@ -106,12 +106,13 @@ def test_default_network_is_equivariant_to_the_order_of_source_points():
         torch.nn.init.normal_(weights)
     s, sn, t, tn = (torch.randn(2, 3, 64, 3, dtype=torch.float64) for _ in range(4))
     c, pull, place = torch.zeros(2, 3, 64).double(), torch.randn(2, 3, 64, 8).double(), torch.rand(2, 3, 10).double()
-    order, fit = torch.randperm(64), torch.randn(2, FIT).double()
-    offset, sigma, change = network(s, sn, t, tn, c, pull, place, fit)
+    order, fit = torch.randperm(64), torch.randn(2, NUM_FIT).double()
+    answer = network(s, sn, t, tn, c, pull, place, fit)
     permuted = network(s[:, :, order], sn[:, :, order], t, tn, c, pull[:, :, order], place, fit)
-    assert torch.allclose(permuted[0], offset[:, :, order])
-    assert torch.allclose(permuted[1], sigma[:, :, order])
-    assert torch.allclose(permuted[2], change)
+    for of_points in ("offset", "log_sigma", "advance", "log_weight"):
+        assert torch.allclose(getattr(permuted, of_points), getattr(answer, of_points)[:, :, order])
+    for of_all in ("log_ridge", "recall"):
+        assert torch.allclose(getattr(permuted, of_all), getattr(answer, of_all))
 
 
 def test_a_patch_that_sees_nothing_is_told_by_the_others_and_not_by_points_that_are_not_its_own():
@@ -122,7 +123,7 @@ def test_a_patch_that_sees_nothing_is_told_by_the_others_and_not_by_points_that_
     s, sn, t, tn = (torch.randn(1, 2, 64, 3) for _ in range(4))
     c, pull, place = torch.zeros(1, 2, 64), torch.zeros(1, 2, 64, 8), torch.rand(1, 2, 10)
     place[0, 1, -1] = 0.0
-    fit = torch.randn(1, FIT)
+    fit = torch.randn(1, NUM_FIT)
     other_own, other_neighbour = t.clone(), t.clone()
     other_own[0, 1], other_neighbour[0, 0] = torch.randn(64, 3), torch.randn(64, 3)
     hidden = network(s, sn, t, tn, c, pull, place, fit)[0][0, 1]

@@ -1,4 +1,4 @@
-"""The classifier and its training: what does not change its answer, what it knows, and that it can be made again."""
+"""The shipped classifier: what does not change its answer, and what it knows."""
 
 import hashlib
 import json
@@ -9,13 +9,11 @@ import real_data
 import trimesh
 
 from gfp_grasp.assets import data_file
-from gfp_grasp.bench.detection import MATCH_IOU, best_iou, match_table, name_capture, name_views
+from gfp_grasp.bench.detection import MATCH_IOU, best_iou, match_table, name_capture
 from gfp_grasp.camera import SensorModel, apply_sensor, cloud_of, intrinsics, render_mesh_view, sample_viewpoint
 from gfp_grasp.detect import classify, clean_cloud, detect_single
-from gfp_grasp.errors import InvalidOption
-from gfp_grasp.shapes import FAMILIES, make_shape, split_seeds
-from gfp_grasp.train.classifier import ClassifierConfig, train_classifier
-from gfp_grasp.train.classifier_data import VIEWS, _handle_is_seen, family_examples, foreign_examples
+from gfp_grasp.primitives import PrimitiveLibrary
+from gfp_grasp.shapes import make_shape, split_seeds
 from gfp_grasp.transforms import apply_T, make_T, rotation_about
 from gfp_grasp.types import DepthImage, SupportPlane
 
@@ -42,9 +40,9 @@ def bottle() -> np.ndarray:
     return _view(make_shape("bottle", split_seeds("bottle", "test")[0]).mesh, 0)
 
 
-def test_scores_are_probabilities_of_the_families(bottle):
+def test_scores_are_probabilities_of_the_classes_of_the_library(bottle):
     scores = classify(bottle, UP, TABLE)
-    assert tuple(scores) == FAMILIES
+    assert tuple(scores) == PrimitiveLibrary.shipped().categories
     assert sum(scores.values()) == pytest.approx(1.0)
     assert min(scores.values()) >= 0
 
@@ -74,54 +72,6 @@ def test_weights_are_those_of_their_card():
     assert hashlib.sha256(data_file("weights", "classifier.safetensors").read_bytes()).hexdigest() == card["sha256"]
     assert card["metrics"]["accuracy"] >= 0.9
     assert card["metrics"]["mean_top_score_foreign"] < card["metrics"]["mean_top_score"] - 0.2
-
-
-def test_a_handle_behind_the_body_is_not_seen_and_one_at_the_side_is():
-    seed = split_seeds("mug", "val")[0]
-    mesh = make_shape("mug", seed).mesh
-    points = np.asarray(mesh.vertices)
-    assert _handle_is_seen(points, np.eye(4), seed)
-    assert not _handle_is_seen(points[points[:, 0] < 0], np.eye(4), seed)
-
-
-def test_cups_and_mugs_count_apart_only_where_a_handle_is_seen(tmp_path, monkeypatch):
-    monkeypatch.setattr(
-        "gfp_grasp.train.views.split_seeds", lambda family, split, limit: split_seeds(family, split)[:3]
-    )
-    examples = family_examples("val", num_views=2, folder=tmp_path)
-    assert {e.answers for e in examples if e.category == "mug"} <= {("mug",), ("cup", "mug")}
-    assert {e.answers for e in examples if e.category == "cup"} == {("cup",)}
-    assert {e.accepted for e in examples if e.category == "cup"} == {("cup", "mug")}
-    assert {e.answers for e in examples if e.category == "bottle"} == {("bottle",)}
-    again = family_examples("val", num_views=2, folder=tmp_path)  # from the cache, which keeps float32
-    np.testing.assert_allclose(again[0].points, examples[0].points, atol=1e-6)
-    figures = name_views(examples)
-    assert figures["views"] == len(examples)
-
-
-@pytest.mark.slow
-def test_training_runs_resumes_and_leaves_weights_with_a_card(tmp_path, monkeypatch):
-    monkeypatch.setattr(
-        "gfp_grasp.train.views.split_seeds", lambda family, split, limit: split_seeds(family, split)[:4]
-    )
-    config = ClassifierConfig(steps=6, batch=8, width=8, views=1, foreign=8)
-    metrics = train_classifier(config, out=tmp_path / "out", cache=tmp_path)
-    first = (tmp_path / "out" / "classifier.safetensors").read_bytes()
-    assert metrics["test_views"]
-    assert metrics == train_classifier(config, out=tmp_path / "out", cache=tmp_path)  # from the last checkpoint
-    assert (tmp_path / "out" / "classifier.safetensors").read_bytes() == first
-
-
-def test_foreign_things_stand_on_the_table_and_are_the_same_for_a_seed(tmp_path):
-    examples = foreign_examples(12, seed=3, folder=tmp_path)
-    assert len(examples) >= 10
-    assert all(e.answers == () and np.median(e.points[:, 2]) > 0 for e in examples)
-    assert max(len(e.points) for e in examples) <= VIEWS.num_points
-
-
-def test_nonsense_in_a_training_config_is_refused():
-    with pytest.raises(InvalidOption):
-        ClassifierConfig(views=0)
 
 
 @pytest.mark.parametrize("name", ["learn0", "learn20", "learn35", "test50"])

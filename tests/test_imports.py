@@ -46,26 +46,11 @@ HEAVY = {
 }
 MODULES = sorted(PACKAGE.rglob("*.py"))
 # Imports past a face that are still there, as "room -> module": strike out what you mend, add nothing.
-PAST_FACES = {
-    "bench -> deform.gfpnet",
-    "bench -> train.classifier_data",
-    "bench -> train.gfpnet",
-    "bench -> train.loop",
-    "bench -> train.views",
-    "cli -> train.classifier",
-    "cli -> train.gfpnet",
-    "cli -> train.pcrnet",
-    "train -> deform.gfpnet",
-    "train -> detect.classifier",
-}
+PAST_FACES: set[str] = set()
 # Files that still name a class: strike out what you mend, add nothing.
 NAME_CLASSES = {
-    "bench/detection.py",
     "captures/read.py",
-    "deform/gfpnet.py",
     "examples/learn.py",
-    "train/classifier.py",
-    "train/classifier_data.py",
 }
 MAY_NAME_CLASSES = ("shapes", "datasets", "demo")
 

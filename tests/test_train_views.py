@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gfp_grasp.train.views import _occlude, render_views, shape_source
+from gfp_grasp.train.views import _occlude, across_edge, render_views, rest_rotation, shape_source
 
 
 def test_views_of_a_shape_are_the_same_for_the_same_seed_and_hold_its_surface():
@@ -21,3 +21,18 @@ def test_an_occluder_leaves_half_at_least_and_nothing_of_nothing():
     kept = _occlude(mask, np.random.default_rng(0))
     assert not (kept & ~mask).any()
     assert 0.45 * mask.sum() < kept.sum() < 0.95 * mask.sum()
+
+
+def test_a_resting_object_has_its_axis_where_its_rest_says():
+    axis = np.array([0.0, 0.0, 1.0])
+    np.testing.assert_allclose(rest_rotation("upright", 1.0) @ axis, axis)
+    np.testing.assert_allclose(rest_rotation("upside_down") @ axis, -axis, atol=1e-12)
+    np.testing.assert_allclose(rest_rotation("lying", 0.7) @ axis, [1, 0, 0], atol=1e-12)
+    # The roll is about the object's own axis, before it lies down.
+    np.testing.assert_allclose(rest_rotation("lying", np.pi / 2) @ [1, 0, 0], [0, 1, 0], atol=1e-12)
+
+
+def test_an_edge_runs_across_its_angle():
+    across = across_edge((4, 5), np.pi / 2)
+    np.testing.assert_allclose(across, np.repeat(np.arange(4.0)[:, None], 5, axis=1), atol=1e-12)
+    np.testing.assert_allclose(across_edge((4, 5), 0.0)[2], np.arange(5.0))

@@ -16,10 +16,9 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from gfp_grasp.deform.gfpnet import PaperNet
+from gfp_grasp.deform import PaperNet
 from gfp_grasp.errors import InvalidOption
-from gfp_grasp.train.gfpnet import paper_loss, single_patches
-from gfp_grasp.train.loop import Batch, LoopConfig, shuffled, train
+from gfp_grasp.train import Batch, LoopConfig, paper_loss, patches_of_split, shuffled, train
 
 WIDTHS = {2: (64, 1024), 3: (64, 128, 1024), 4: (64, 128, 512, 1024), 5: (64, 128, 256, 512, 1024)}
 ITERATIONS = tuple(range(1, 8))
@@ -83,8 +82,8 @@ def bench_ablation(
             if report is not None:
                 report(name)
             if training is None or held_out is None:
-                training = single_patches("train", config.views, config.limit, runs, workers)
-                held_out = single_patches("val", config.views, config.limit, runs, workers)
+                training = patches_of_split("train", config.views, config.limit, runs, workers)
+                held_out = patches_of_split("val", config.views, config.limit, runs, workers)
             row = _row(layers, noise_m, training, held_out, config, path.with_suffix(".pt"))
             path.parent.mkdir(parents=True, exist_ok=True)
             path.write_text(json.dumps(row))

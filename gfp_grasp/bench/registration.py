@@ -23,7 +23,7 @@ from gfp_grasp.parallel import pmap
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.register import FitConfig, fit_primitive
 from gfp_grasp.shapes import FAMILIES, split_seeds
-from gfp_grasp.train.views import View, ViewsConfig, render_views, shape_source
+from gfp_grasp.train import View, ViewsConfig, render_views, shape_source
 from gfp_grasp.transforms import apply_T
 from gfp_grasp.types import FittedPrimitive, GenericPrimitive
 

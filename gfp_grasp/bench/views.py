@@ -16,6 +16,7 @@ from gfp_grasp.camera import (
     render_mesh_view,
     sample_viewpoint,
 )
+from gfp_grasp.train import across_edge, rest_rotation
 from gfp_grasp.transforms import apply_T, invert_T, make_T, rotation_about
 from gfp_grasp.types import DepthImage, PointCloud
 
@@ -76,14 +77,12 @@ def view_object(
 def _fallen(rng: np.random.Generator) -> np.ndarray:
     """Rotation (3, 3) that turns a standing object upside down or onto any side."""
     if rng.random() < 0.5:
-        return rotation_about((1, 0, 0), np.pi)
-    return rotation_about((0, 1, 0), np.pi / 2) @ rotation_about((0, 0, 1), rng.uniform(0, 2 * np.pi))
+        return rest_rotation("upside_down")
+    return rest_rotation("lying", rng.uniform(0, 2 * np.pi))
 
 
 def _behind_a_board(image: DepthImage, index: np.ndarray, rng: np.random.Generator) -> tuple[DepthImage, np.ndarray]:
-    rows, columns = np.indices(index.shape)
-    angle = rng.uniform(0, 2 * np.pi)
-    along = rows * np.sin(angle) + columns * np.cos(angle)
+    along = across_edge(index.shape, rng.uniform(0, 2 * np.pi))
     board = along < np.median(along[index == 0])
     depth = np.where(board, image.depth_m[index == 0].min() - _BOARD_M, image.depth_m)
     return DepthImage(depth.astype(np.float32), image.K, image.T_world_camera), np.where(board, 1, index)

@@ -95,3 +95,28 @@ def parts(
         mean_m, high_m = primitive.part_errors_m[-1]
         rows.append((name, str(len(primitive.parts)), f"{1000 * mean_m:.2f}", f"{1000 * high_m:.2f}"))
     table(("class", "parts", "off on average, mm", "for 95 %, mm"), rows, words=1)
+
+
+@gps.command()
+def prototypes(
+    names: Annotated[
+        list[str] | None, typer.Argument(help="class or class.subcategory; left out, all of the folder.")
+    ] = None,
+    folder: Annotated[Path, typer.Option("--gps", help="Folder of the primitives, which are written anew.")] = Path(
+        "gps"
+    ),
+    shapes: Annotated[
+        bool, typer.Option(help="Look at procedural shapes, in place of the members as the primitive tells them.")
+    ] = False,
+    seed: Seed = 0,
+) -> None:
+    """Compute by what the classifier knows the classes of a folder, for the network that ships with the package."""
+    from gfp_grasp.primitives import PrimitiveLibrary, save_primitive
+    from gfp_grasp.train import procedural_members, with_prototypes
+
+    library = PrimitiveLibrary(folder)
+    names = names or list(library.names)
+    for name in track("prototypes")(names, len(names)):
+        meshes = procedural_members(name) if shapes else None
+        save_primitive(with_prototypes(library.primitive(name), meshes=meshes, seed=seed), folder)
+    out.print(f"{folder}: prototypes of {', '.join(names)}", markup=False)

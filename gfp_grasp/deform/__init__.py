@@ -1,26 +1,76 @@
 """Deformation of a fitted primitive onto its observation: GFPNet, the paper's own, and active contours (GFS)."""
 
+from importlib import import_module
+from typing import TYPE_CHECKING
+
 from gfp_grasp.deform.gfs import SnakeConfig, evolve
 from gfp_grasp.deform.layout import NUM_PATCHES, NUM_SOURCE, patch_layout, patch_unit_m
 from gfp_grasp.deform.patches import MISFIT_SHARE, NUM_TEMPLATE, Patches, make_patches
 from gfp_grasp.deform.shape import DeformConfig, Deformed, Method, deform
 from gfp_grasp.deform.template import TemplatePoints, template_points
 
+if TYPE_CHECKING:
+    from gfp_grasp.deform.gfpnet import (
+        BELIEF,
+        WEIGHTS,
+        Levers,
+        PaperNet,
+        PatchAnswer,
+        PatchNet,
+        Variant,
+        fit_features,
+        make_levers,
+        make_network,
+        solve_change,
+    )
+
 __all__ = [
+    "BELIEF",
     "MISFIT_SHARE",
     "NUM_PATCHES",
     "NUM_SOURCE",
     "NUM_TEMPLATE",
+    "WEIGHTS",
     "DeformConfig",
     "Deformed",
+    "Levers",
     "Method",
+    "PaperNet",
+    "PatchAnswer",
+    "PatchNet",
     "Patches",
     "SnakeConfig",
     "TemplatePoints",
+    "Variant",
     "deform",
     "evolve",
+    "fit_features",
+    "make_levers",
+    "make_network",
     "make_patches",
     "patch_layout",
     "patch_unit_m",
+    "solve_change",
     "template_points",
 ]
+
+# These bring torch, and so come with the first use of one of them.
+_WITH_TORCH = {
+    "BELIEF",
+    "WEIGHTS",
+    "Levers",
+    "PaperNet",
+    "PatchAnswer",
+    "PatchNet",
+    "Variant",
+    "fit_features",
+    "make_levers",
+    "make_network",
+    "solve_change",
+}
+
+
+def __getattr__(name: str) -> object:
+    if name in _WITH_TORCH:
+        return getattr(import_module("gfp_grasp.deform.gfpnet"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

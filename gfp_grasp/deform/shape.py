@@ -122,17 +122,16 @@ def _per_point(patches: Patches, fit: FittedPrimitive) -> tuple[np.ndarray, np.n
     """Offsets (b, n, 3) in patch units, log sigma (b, n), and the displacement (v, 3) m by the change of the fit."""
     import torch
 
-    from gfp_grasp.deform.gfpnet import fit_features, knows, load_network, mode_field
+    from gfp_grasp.deform.gfpnet import BELIEF, change_field, fit_features, load_network
 
-    network, known = load_network("patch"), knows("patch", fit.primitive)
-    features = torch.tensor(fit_features(fit, known=known)[None], dtype=torch.float32)
+    features = torch.tensor(fit_features(fit)[None], dtype=torch.float32)
     with one_thread(), torch.inference_mode():
-        offsets, log_sigma, change = network(*(part[None] for part in patch_tensors(patches)), features)
-    field = mode_field(fit, change[0].double().numpy(), known=known)
-    offset = offsets[0].double().numpy()
+        answer = load_network("patch")(*(part[None] for part in patch_tensors(patches)), features)
+        field = BELIEF * change_field(fit, patches, answer)
+    offset = BELIEF * answer.offset[0].double().numpy()
     length = np.linalg.norm(offset, axis=2, keepdims=True)
     offset = offset * np.minimum(1.0, _FARTHEST / np.maximum(length, 1e-12))
-    return offset, log_sigma[0].double().numpy(), field
+    return offset, answer.log_sigma[0].double().numpy(), field
 
 
 def _predicted_sets(patches: Patches, config: DeformConfig) -> np.ndarray:

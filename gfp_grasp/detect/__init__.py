@@ -1,5 +1,6 @@
 """One object or many out of a depth picture or a cloud: support plane, clusters, category, oriented box."""
 
+from importlib import import_module
 from typing import TYPE_CHECKING
 
 from gfp_grasp.detect.box import upright_box
@@ -11,30 +12,70 @@ from gfp_grasp.detect.support import find_support
 from gfp_grasp.detect.validate import clean_cloud, numbers_of
 
 if TYPE_CHECKING:
-    from gfp_grasp.detect.classifier import classify
+    from gfp_grasp.detect.classifier import (
+        FLOOR_M,
+        NUM_CHANNELS,
+        NUM_POINTS,
+        POOL_POINTS,
+        Calibration,
+        EmbeddingNet,
+        Prototypes,
+        class_scores,
+        classify,
+        embed,
+        embed_clouds,
+        features,
+        mixture,
+        sample_points,
+        score_table,
+        upright_points,
+        with_surface,
+    )
 
 __all__ = [
     "DETECTORS",
+    "FLOOR_M",
+    "NUM_CHANNELS",
+    "NUM_POINTS",
+    "POOL_POINTS",
+    "Calibration",
     "DetectConfig",
     "Detector",
+    "EmbeddingNet",
+    "Prototypes",
+    "class_scores",
     "classify",
     "clean_cloud",
     "detect_objects",
     "detect_single",
+    "embed",
+    "embed_clouds",
     "estimate_sigma",
+    "features",
     "find_support",
     "get_detector",
     "label_picture",
     "label_points",
     "make_detection",
+    "mixture",
     "numbers_of",
+    "sample_points",
+    "score_table",
     "upright_box",
+    "upright_points",
+    "with_surface",
 ]
 
 
-def __getattr__(name: str) -> object:
-    if name == "classify":  # brings torch
-        from gfp_grasp.detect.classifier import classify
+# These bring torch, and so come with the first use of one of them.
+_WITH_TORCH = {
+    "FLOOR_M", "NUM_CHANNELS", "NUM_POINTS", "POOL_POINTS", "Calibration", "EmbeddingNet", "Prototypes", "class_scores",
+    "classify", "embed", "embed_clouds", "features", "mixture", "sample_points", "score_table", "upright_points",
+    "with_surface",
+}  # fmt: skip
 
-        return classify
+
+def __getattr__(name: str) -> object:
+    if name in _WITH_TORCH:
+        return getattr(import_module("gfp_grasp.detect.classifier"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

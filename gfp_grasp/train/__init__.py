@@ -1,5 +1,64 @@
 """Building primitives and training networks, from procedural families or from any folder of meshes."""
 
-from gfp_grasp.train.primitives import build_from_folder, build_from_shapes, with_spec
+from importlib import import_module
+from typing import TYPE_CHECKING
 
-__all__ = ["build_from_folder", "build_from_shapes", "with_spec"]
+from gfp_grasp.train.classifier_data import CACHE, Example, alike_in, assorted_examples, class_examples
+from gfp_grasp.train.primitives import build_from_folder, build_from_shapes, procedural_members, with_spec
+from gfp_grasp.train.views import View, ViewsConfig, across_edge, render_views, rest_rotation, shape_source
+
+if TYPE_CHECKING:
+    from gfp_grasp.train.classifier import ClassifierConfig, train_classifier
+    from gfp_grasp.train.gfpnet import GFPNET_CONFIGS, train_gfpnet
+    from gfp_grasp.train.loop import Batch, LoopConfig, shuffled, train
+    from gfp_grasp.train.paper import paper_loss, patches_of_split
+    from gfp_grasp.train.pcrnet import PCRNET_CONFIG, train_pcrnet
+    from gfp_grasp.train.prototypes import make_prototypes, with_prototypes
+
+__all__ = [
+    "CACHE",
+    "GFPNET_CONFIGS",
+    "PCRNET_CONFIG",
+    "Batch",
+    "ClassifierConfig",
+    "Example",
+    "LoopConfig",
+    "View",
+    "ViewsConfig",
+    "across_edge",
+    "alike_in",
+    "assorted_examples",
+    "build_from_folder",
+    "build_from_shapes",
+    "class_examples",
+    "make_prototypes",
+    "paper_loss",
+    "patches_of_split",
+    "procedural_members",
+    "render_views",
+    "rest_rotation",
+    "shape_source",
+    "shuffled",
+    "train",
+    "train_classifier",
+    "train_gfpnet",
+    "train_pcrnet",
+    "with_prototypes",
+    "with_spec",
+]
+
+# These bring torch, and so come with the first use of one of them.
+_WITH_TORCH = {
+    **dict.fromkeys(("ClassifierConfig", "train_classifier"), "classifier"),
+    **dict.fromkeys(("GFPNET_CONFIGS", "train_gfpnet"), "gfpnet"),
+    **dict.fromkeys(("paper_loss", "patches_of_split"), "paper"),
+    **dict.fromkeys(("Batch", "LoopConfig", "shuffled", "train"), "loop"),
+    **dict.fromkeys(("PCRNET_CONFIG", "train_pcrnet"), "pcrnet"),
+    **dict.fromkeys(("make_prototypes", "with_prototypes"), "prototypes"),
+}
+
+
+def __getattr__(name: str) -> object:
+    if name in _WITH_TORCH:
+        return getattr(import_module(f"gfp_grasp.train.{_WITH_TORCH[name]}"), name)
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -1,7 +1,7 @@
 """Labels for GFPNet: where each vertex of a fitted primitive belongs on the true surface.
 
 The label of a fit is the fit drawn onto the whole true surface by the active contour (GFS), stiff first, then soft.
-Labels that fold or leave more than 2 mm are dropped and counted. Half of the fits have few modes to use: such a fit is
+Labels that fold or stay off the surface are dropped and counted. Half of the fits have few modes to use: such a fit is
 as far off as a fit to an object that its class does not foresee, which is where a deformation is needed most. Half do
 not know where the support is.
 """
@@ -22,13 +22,13 @@ from gfp_grasp.errors import FitDiverged, TooFewPoints
 from gfp_grasp.level import make_level_view
 from gfp_grasp.meshes import crossing_faces, sample_surface, vertex_normals
 from gfp_grasp.parallel import pmap
-from gfp_grasp.primitives import load_kinds
+from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.register import FitConfig, fit_best, part_is_seen
 from gfp_grasp.train.views import View, cached_views
 from gfp_grasp.transforms import apply_T, invert_T
 from gfp_grasp.types import FittedPrimitive, GenericPrimitive
 
-_MAX_RESIDUAL_M = 0.002
+_MAX_RESIDUAL = 1 / 15  # of a label that is kept, patch units: 2 mm on a cup
 _ALL = 1000
 _MODES = (_ALL, _ALL, 8, 3)  # that a label's fit may use, drawn by view
 _STAGES = (
@@ -44,7 +44,7 @@ class Label:
 
     Attributes:
         primitive: Name of the primitive.
-        twin: Whether the primitive is the handle-less twin.
+        without: Optional parts that the fit lacks.
         vertices: (v, 3) m, the fit.
         target: (v, 3) m, where the vertices belong.
         template: Observed and mirrored points.
@@ -54,7 +54,7 @@ class Label:
     """
 
     primitive: str
-    twin: bool
+    without: tuple[str, ...]
     vertices: np.ndarray
     target: np.ndarray
     template: TemplatePoints
@@ -67,6 +67,7 @@ def make_labels(
     family: str,
     split: str,
     *,
+    library: PrimitiveLibrary | None = None,
     num_views: int = 4,
     limit: int | None = None,
     runs: Path = Path("runs"),
@@ -79,7 +80,7 @@ def make_labels(
     views = cached_views(
         family, split, num_views=num_views, limit=limit, folder=runs / "views", workers=workers, data=data
     )
-    make = partial(_cached_label, folder=runs / "labels", fit=fit)
+    make = partial(_cached_label, folder=runs / "labels", fit=fit, library=library or PrimitiveLibrary.shipped())
     answers = pmap(make, views, workers=workers, progress=progress)
     counts: dict[str, int] = {}
     for _, verdict in answers:
@@ -107,13 +108,14 @@ def label_fit(fit: FittedPrimitive, truth_points: np.ndarray, truth_normals: np.
     normals = vertex_normals(moved, fit.primitive.faces)
     distance, nearest = KDTree(truth_points).query(moved, k=8)
     agrees = np.einsum("vi,vki->vk", normals, truth_normals[nearest]) > 0.5
-    return moved, float(np.where(agrees, distance, 2 * _MAX_RESIDUAL_M).min(axis=1).mean())
+    far_m = 2 * _MAX_RESIDUAL * patch_unit_m(fit.primitive)
+    return moved, float(np.where(agrees, distance, far_m).min(axis=1).mean())
 
 
-def _cached_label(view: View, *, folder: Path, fit: FitConfig) -> tuple[Label | None, str]:
+def _cached_label(view: View, *, folder: Path, fit: FitConfig, library: PrimitiveLibrary) -> tuple[Label | None, str]:
     draw = int(hashlib.sha256(view.points.tobytes()).hexdigest(), 16)
     num_modes, support = _MODES[draw % len(_MODES)], draw // len(_MODES) % 2 == 0
-    content = view.points.tobytes() + repr((fit, num_modes, support)).encode() + _card_id(view.family)
+    content = view.points.tobytes() + repr((fit, num_modes, support)).encode() + _card_id(library, view.family)
     key = hashlib.sha256(content).hexdigest()[:20]
     path = folder / view.family / f"{key}.npz"
     if path.is_file():
@@ -124,8 +126,9 @@ def _cached_label(view: View, *, folder: Path, fit: FitConfig) -> tuple[Label | 
             vertices, target, *rest = (
                 s[name].astype(float) for name in ("vertices", "target", "viewpoint", "coefficients", "scale")
             )
-            return Label(str(s["primitive"]), bool(s["twin"]), vertices, target, template, *rest), "kept"
-    label, verdict = _label(view, fit, num_modes, support=support)
+            without = tuple(str(part) for part in s["without"])
+            return Label(str(s["primitive"]), without, vertices, target, template, *rest), "kept"
+    label, verdict = _label(view, fit, num_modes, support=support, library=library)
     path.parent.mkdir(parents=True, exist_ok=True)
     partial_path = path.with_suffix(f".{os.getpid()}.npz")
     if label is None:
@@ -135,7 +138,7 @@ def _cached_label(view: View, *, folder: Path, fit: FitConfig) -> tuple[Label | 
             partial_path,
             verdict=verdict,
             primitive=label.primitive,
-            twin=label.twin,
+            without=np.array(label.without, dtype=str),
             vertices=label.vertices.astype(np.float32),
             target=label.target.astype(np.float32),
             points=label.template.points.astype(np.float32),
@@ -149,36 +152,39 @@ def _cached_label(view: View, *, folder: Path, fit: FitConfig) -> tuple[Label | 
     return label, verdict
 
 
-def _label(view: View, config: FitConfig, num_modes: int, *, support: bool) -> tuple[Label | None, str]:
+def _label(
+    view: View, config: FitConfig, num_modes: int, *, support: bool, library: PrimitiveLibrary
+) -> tuple[Label | None, str]:
     try:
         level = make_level_view(view.detection(support=support))
         # How it rests is given: a fit that stands on its head has no label.
-        candidates = [(primitive, 0.0) for primitive in _primitives_of(view.family, num_modes)]
+        candidates = [(primitive, 0.0) for primitive in _primitives_of(library, view.family, num_modes)]
         fit = fit_best(level, candidates, config=replace(config, hypotheses=(view.resting,)))
     except (FitDiverged, TooFewPoints):
         return None, "not fitted"
-    twin = fit.primitive.twin is not None and not part_is_seen(fit, fit.primitive.spec.optional_parts[0].name, level)
-    if twin:
-        assert fit.primitive.twin is not None
-        fit = replace(fit, primitive=fit.primitive.twin)
+    parts = fit.primitive.spec.optional_parts
+    without = tuple(part.name for part in parts if not part_is_seen(fit, part.name, level))
+    body = fit.primitive.without(without)
+    fit, without = (fit, ()) if body is None else (replace(fit, primitive=body), without)
     mesh = view.source.load_mesh()
     points, normals, _ = sample_surface(mesh, 12000, np.random.default_rng(view.seed))
     T_object_world = invert_T(level.T_world_level @ fit.T_world_object)
     T = T_object_world @ view.T_world_object
     target, residual = label_fit(fit, apply_T(T, points), normals @ T[:3, :3].T)
-    if residual > _MAX_RESIDUAL_M:
+    if residual > _MAX_RESIDUAL * patch_unit_m(fit.primitive):
         return None, "residual"
     if len(crossing_faces(target, fit.primitive.faces)) > 0.01 * len(target):
         return None, "folded"
     vertices = fit.primitive.shape(fit.coefficients, fit.scale)
     viewpoint = apply_T(T_object_world, view.viewpoint)
     template = template_points(fit, level)
-    return Label(fit.primitive.name, twin, vertices, target, template, viewpoint, fit.coefficients, fit.scale), "kept"
+    name, coefficients = fit.primitive.name, fit.coefficients
+    return Label(name, without, vertices, target, template, viewpoint, coefficients, fit.scale), "kept"
 
 
 @lru_cache(maxsize=32)
-def _primitives_of(category: str, num_modes: int) -> tuple[GenericPrimitive, ...]:
-    """The shipped primitives of a class and its kinds with their first modes only, and so their twins."""
+def _primitives_of(library: PrimitiveLibrary, category: str, num_modes: int) -> tuple[GenericPrimitive, ...]:
+    """The primitives of a class and its subcategories with their first modes only, and so their variants."""
 
     def shortened(primitive: GenericPrimitive) -> GenericPrimitive:
         samples, count = primitive.coefficient_samples, min(num_modes, len(primitive.modes))
@@ -190,8 +196,9 @@ def _primitives_of(category: str, num_modes: int) -> tuple[GenericPrimitive, ...
             variants=tuple(replace(v, primitive=shortened(v.primitive)) for v in primitive.variants),
         )
 
-    return tuple(shortened(primitive) for primitive in load_kinds(category))
+    return tuple(shortened(primitive) for primitive in library.members_of(category))
 
 
-def _card_id(family: str) -> bytes:
-    return "".join(str(primitive.card.get("shape_sha256", "")) for primitive in load_kinds(family)).encode()
+def _card_id(library: PrimitiveLibrary, category: str) -> bytes:
+    members = library.members_of(category)
+    return "".join(str(primitive.card.get("shape_sha256", "")) for primitive in members).encode()

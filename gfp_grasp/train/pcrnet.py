@@ -1,11 +1,11 @@
-"""Training of PCRNet on the starts that registration really has, for views of procedural shapes.
+"""Training of PCRNet on the starts that registration really has, for views of shapes.
 
 Pairs are seen as a completion sees them: z up and x towards the viewer.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -14,22 +14,25 @@ import torch
 from torch import Tensor, nn
 
 from gfp_grasp.assets import data_dir
+from gfp_grasp.datasets import layout_of
 from gfp_grasp.level import make_level_view
-from gfp_grasp.primitives import load_primitive
+from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.register import PCRNet, PoseShape, make_starts, network_input, rotation_of
-from gfp_grasp.shapes import FAMILIES
 from gfp_grasp.train.loop import Batch, LoopConfig, shuffled, train, write_weights
-from gfp_grasp.train.views import cached_views
+from gfp_grasp.train.views import View, cached_views
 from gfp_grasp.transforms import invert_T, rotation_about, rotation_between
 from gfp_grasp.types import GenericPrimitive
 
-DEFAULT = LoopConfig(steps=2500, batch=32, rate=1e-3, decay=0.7)
+PCRNET_CONFIG = LoopConfig(steps=2500, batch=32, rate=1e-3, decay=0.7)
 _MAX_TURN_RAD = np.deg2rad(50)
 
 
 def train_pcrnet(
     *,
-    config: LoopConfig = DEFAULT,
+    config: LoopConfig = PCRNET_CONFIG,
+    classes: Sequence[str] | None = None,
+    library: PrimitiveLibrary | None = None,
+    data: Path | None = None,
     num_views: int = 4,
     limit: int | None = None,
     out: Path | None = None,
@@ -40,8 +43,11 @@ def train_pcrnet(
 
     Args:
         config: Schedule.
+        classes: Classes whose shapes are learnt from; None takes all of the library.
+        library: Their primitives; None takes the shipped ones.
+        data: Folder of meshes, as `read_dataset` takes it; None takes procedural shapes.
         num_views: Views of each shape.
-        limit: Shapes of a family; None takes the whole split.
+        limit: Shapes of a class; None takes the whole split.
         out: Weights file; None is the shipped one.
         runs: Folder of caches and checkpoints.
         report: Progress.
@@ -50,22 +56,40 @@ def train_pcrnet(
         Path of the card.
     """
     torch.manual_seed(config.seed)
-    data = _samples("train", num_views, limit, runs, np.random.default_rng(config.seed), copies=2)
+    library = library or PrimitiveLibrary.shipped()
+    categories = tuple(classes or library.categories)
+
+    def samples(split: str, seed: int, copies: int) -> Batch:
+        rows = []
+        rng = np.random.default_rng(seed)
+        for category in categories:
+            views = cached_views(category, split, num_views=num_views, limit=limit, folder=runs / "views", data=data)
+            rows += _samples(views, library.primitive(category), rng, copies=copies)
+        columns = zip(*rows, strict=True)
+        return tuple(torch.tensor(np.array(column), dtype=torch.float32) for column in columns)
+
+    pairs = samples("train", config.seed, 2)
     network, hours = train(
         PCRNet(),
-        augmented(shuffled(data, config.batch)),
+        augmented(shuffled(pairs, config.batch)),
         _loss,
         config=config,
         checkpoint=runs / "pcrnet" / "checkpoint.pt",
         report=report,
     )
-    held_out = _samples("val", num_views, limit, runs, np.random.default_rng(config.seed + 1), copies=1)
+    held_out = samples("val", config.seed + 1, 1)
     out = out or data_dir("weights") / "pcrnet.safetensors"
     return write_weights(
         network.half().float(),
         out,
         config=config,
-        data={"families": FAMILIES, "split": "train", "views_a_shape": num_views, "samples": len(data[0])},
+        data={
+            "classes": categories,
+            "shapes": "procedural" if data is None else layout_of(data),
+            "split": "train",
+            "views_a_shape": num_views,
+            "samples": len(pairs[0]),
+        },
         hours=hours,
         metrics=_measure(network, held_out),
     )
@@ -90,27 +114,20 @@ def augmented(stream: Callable[[torch.Generator], Iterator[Batch]]) -> Callable[
     return batches
 
 
-def _samples(
-    split: str, num_views: int, limit: int | None, runs: Path, rng: np.random.Generator, *, copies: int
-) -> Batch:
-    """Template, cloud (s, n, 3), true rotation (s, 3, 3) and translation (s, 3), radius m (s,)."""
+def _samples(views: Sequence[View], primitive: GenericPrimitive, rng: np.random.Generator, *, copies: int) -> list:
+    """Rows of template and cloud (n, 3), true rotation (3, 3) and translation (3,), radius m, for views of a class."""
     rows = []
-    for family in FAMILIES:
-        primitive = load_primitive(family)
-        for view in cached_views(family, split, num_views=num_views, limit=limit, folder=runs / "views"):
-            evidence = make_level_view(view.detection())
-            T_here_object = invert_T(evidence.T_world_level) @ view.T_world_object
-            near = [
-                s for s in make_starts(primitive, evidence, (view.resting,)) if _is_near(s, T_here_object, primitive)
-            ]
-            for _ in range(copies if near else 0):
-                state = _jittered(near[int(rng.integers(len(near)))], rng)
-                template, cloud, centre, radius = network_input(state, primitive, evidence.points)
-                R, t = _truth(state, T_here_object, primitive)
-                # About the centre, in units of the radius: x -> R (x - c) + (R c + t - c), as the network moves it.
-                rows.append((template, cloud, R, (R @ centre + t - centre) / radius, radius))
-    columns = zip(*rows, strict=True)
-    return tuple(torch.tensor(np.array(column), dtype=torch.float32) for column in columns)
+    for view in views:
+        level = make_level_view(view.detection())
+        T_level_object = invert_T(level.T_world_level) @ view.T_world_object
+        near = [s for s in make_starts(primitive, level, (view.resting,)) if _is_near(s, T_level_object, primitive)]
+        for _ in range(copies if near else 0):
+            state = _jittered(near[int(rng.integers(len(near)))], rng)
+            template, cloud, centre, radius = network_input(state, primitive, level.points)
+            R, t = _truth(state, T_level_object, primitive)
+            # About the centre, in units of the radius: x -> R (x - c) + (R c + t - c), as the network moves it.
+            rows.append((template, cloud, R, (R @ centre + t - centre) / radius, radius))
+    return rows
 
 
 def _truth(state: PoseShape, T_here_object: np.ndarray, primitive: GenericPrimitive) -> tuple[np.ndarray, np.ndarray]:

@@ -62,7 +62,7 @@ def build_from_shapes(
     if not 1 <= members <= len(train) or not 1 <= held_out <= len(val):
         raise InvalidOption(f"members={members}, held_out={held_out}: 1 to {len(train)} and 1 to {len(val)} are there")
     config = config or BuildConfig(licence=_LICENCE_OF_SHAPES)
-    meshes = [make_shape(family, number).mesh for number in train[:members]]
+    meshes = procedural_members(name, members)
     primitive = build_primitive(meshes, name, config=config, seed=seed, progress=progress)
     figures = measure_primitive(
         primitive, [make_shape(family, number).mesh for number in val[:held_out]], progress=progress
@@ -74,7 +74,23 @@ def build_from_shapes(
         "data": f"{shapes}, the first {members} seeds of the train split",
         "held_out_data": f"{shapes}, the first {held_out} seeds of the val split",
     }
-    return with_spec(replace(primitive, card={**card, **primitive.card, **figures.figures()}), spec)
+    return _recognisable(
+        with_spec(replace(primitive, card={**card, **primitive.card, **figures.figures()}), spec), seed, meshes
+    )
+
+
+def procedural_members(name: str, count: int = 120) -> list[trimesh.Trimesh]:
+    """The first shapes of the train split of a procedural family, or of one of its variants ("family.variant").
+
+    Raises:
+        UnknownCategory: No such family.
+        InvalidOption: No shape of that variant.
+    """
+    family, _, variant = name.partition(".")
+    seeds = split_seeds(family, "train")
+    if variant:
+        seeds = _of_variant(family, variant, split_seeds(family, "train", _OF_ALL_VARIANTS))
+    return [make_shape(family, number).mesh for number in seeds[:count]]
 
 
 def with_spec(primitive: GenericPrimitive, changes: Mapping[str, object] | None) -> GenericPrimitive:
@@ -149,7 +165,16 @@ def build_from_folder(
     if held_out:
         posed = _posed(held_out, primitive, config, seed)
         figures = measure_primitive(primitive, posed, progress=progress).figures() if posed else {}
-    return with_spec(replace(primitive, card={**card, **primitive.card, **figures}), spec)
+    return _recognisable(with_spec(replace(primitive, card={**card, **primitive.card, **figures}), spec), seed)
+
+
+def _recognisable(
+    primitive: GenericPrimitive, seed: int, meshes: list[trimesh.Trimesh] | None = None
+) -> GenericPrimitive:
+    """The primitive with what the classifier knows its class by."""
+    from gfp_grasp.train.prototypes import with_prototypes  # brings torch
+
+    return with_prototypes(primitive, meshes=meshes, seed=seed)
 
 
 def _hold_out(meshes: list[trimesh.Trimesh], rng: np.random.Generator) -> tuple[list, list]:

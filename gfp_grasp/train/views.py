@@ -10,7 +10,7 @@ import json
 import os
 import warnings
 import zlib
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
 
@@ -30,6 +30,7 @@ from gfp_grasp.types import Detection, OrientedBox, PointCloud, SupportPlane
 CACHE = Path("runs/views")
 _MIN_PIXELS = 60
 _TRIES = 12
+_LARGEST_M = 0.4  # up to this size the distances of the config hold
 
 
 @dataclass(frozen=True)
@@ -131,15 +132,33 @@ def render_views(
     source: ObjectSource, *, num_views: int, config: ViewsConfig = ViewsConfig(), first_seed: int = 0
 ) -> list[View]:
     """Views of one shape, the same for the same arguments; a shape that is never in sight gives fewer."""
-    mesh = source.load_mesh()
     rng = np.random.default_rng([first_seed, seed_of(source), sum(map(ord, source.category))])
+    return views_of_mesh(source, source.load_mesh(), rng, num_views=num_views, config=config)
+
+
+def views_of_mesh(
+    source: ObjectSource,
+    mesh: trimesh.Trimesh,
+    rng: np.random.Generator,
+    *,
+    num_views: int,
+    config: ViewsConfig = ViewsConfig(),
+) -> list[View]:
+    """Views of a mesh; one that is never in sight gives fewer.
+
+    What is larger than things on a table is looked at from farther away in proportion.
+    """
+    zoom = max(1.0, float(mesh.extents.max()) / _LARGEST_M)
+    if zoom > 1:
+        mesh = mesh.copy()
+        mesh.apply_scale(1 / zoom)
     K = intrinsics(config.width, config.height, config.fov_y_deg)
     views = []
     for _ in range(num_views):
         for _ in range(_TRIES):
             view = _one_view(source, mesh, rng, K, config)
             if view is not None:
-                views.append(view)
+                views.append(view if zoom == 1 else _enlarged(view, zoom))
                 break
     return views
 
@@ -168,7 +187,7 @@ def cached_views(
 def _load_or_render(source: ObjectSource, *, num_views: int, folder: Path, config: ViewsConfig) -> list[View]:
     path = folder / source.category / f"{_cache_name(source)}_{num_views}_{config_id(config)}.npz"
     if path.is_file():
-        return _load(path, source)
+        return read_views(path, source)
     try:
         views = render_views(source, num_views=num_views, config=config)
     except InvalidMesh as error:
@@ -177,26 +196,33 @@ def _load_or_render(source: ObjectSource, *, num_views: int, folder: Path, confi
     if not views:
         return []
     path.parent.mkdir(parents=True, exist_ok=True)
+    write_views(path, views)
+    return read_views(path, source)  # in the precision of the cache, as every later run reads them
+
+
+def write_views(path: Path, views: list[View]) -> None:
+    """Write views of one shape; another process never sees half of the file."""
     partial_path = path.with_suffix(f".{os.getpid()}.npz")
     np.savez_compressed(
         partial_path,
         count=np.array([len(v.points) for v in views]),
-        points=np.concatenate([v.points for v in views]).astype(np.float32),
+        points=np.concatenate([np.zeros((0, 3)), *(v.points for v in views)]).astype(np.float32),
         viewpoint=np.array([v.viewpoint for v in views]),
         T_world_object=np.array([v.T_world_object for v in views]),
         resting=np.array([v.resting for v in views]),
     )
     partial_path.rename(path)
-    return _load(path, source)  # in the precision of the cache, as every later run reads them
 
 
-def _load(path: Path, source: ObjectSource) -> list[View]:
+def read_views(path: Path, source: ObjectSource) -> list[View]:
+    """The views of one shape that `write_views` wrote."""
     with np.load(path) as stored:
-        splits = np.cumsum(stored["count"])[:-1]
+        counts = stored["count"]
+        clouds = np.split(stored["points"], np.cumsum(counts)[:-1]) if len(counts) else []
         return [
             View(source, p.astype(np.float64), v, T, str(r))
             for p, v, T, r in zip(
-                np.split(stored["points"], splits),
+                clouds,
                 stored["viewpoint"],
                 stored["T_world_object"],
                 stored["resting"],
@@ -242,15 +268,36 @@ def _one_view(
     return View(source, thin(cloud.points, config.num_points), cloud.viewpoint, T, resting)
 
 
+def _enlarged(view: View, zoom: float) -> View:
+    T = make_T(view.T_world_object[:3, :3], zoom * view.T_world_object[:3, 3])
+    return replace(view, points=zoom * view.points, viewpoint=zoom * view.viewpoint, T_world_object=T)
+
+
+def rest_rotation(resting: str, roll_rad: float = 0.0) -> np.ndarray:
+    """Rotation (3, 3) of an object that stands upright into the way it rests.
+
+    Args:
+        resting: "upright", "upside_down" or "lying".
+        roll_rad: Turn about its own axis before it lies down.
+    """
+    if resting == "upside_down":
+        return rotation_about((1, 0, 0), np.pi)
+    if resting == "lying":
+        return rotation_about((0, 1, 0), np.pi / 2) @ rotation_about((0, 0, 1), roll_rad)
+    return np.eye(3)
+
+
+def across_edge(shape: tuple[int, ...], angle_rad: float) -> np.ndarray:
+    """(h, w) px, how far each pixel lies beyond a straight edge through the first pixel, which an occluder may have."""
+    rows, columns = np.indices(shape)
+    return rows * np.sin(angle_rad) + columns * np.cos(angle_rad)
+
+
 def _rest(vertices: np.ndarray, rng: np.random.Generator, config: ViewsConfig) -> tuple[str, np.ndarray]:
     """How the object rests on z = 0, and its pose."""
     resting = "upright" if rng.random() >= config.fallen_share else ("upside_down", "lying")[int(rng.integers(2))]
-    R = np.eye(3)
-    if resting == "upside_down":
-        R = rotation_about((1, 0, 0), np.pi)
-    elif resting == "lying":
-        roll = random_rotation(rng)
-        R = rotation_about((0, 1, 0), np.pi / 2) @ rotation_about((0, 0, 1), float(np.arctan2(roll[1, 0], roll[0, 0])))
+    turn = random_rotation(rng) if resting == "lying" else np.eye(3)
+    R = rest_rotation(resting, float(np.arctan2(turn[1, 0], turn[0, 0])))
     R = rotation_about((0, 0, 1), rng.uniform(0, 2 * np.pi)) @ R
     turned = vertices @ R.T
     return resting, make_T(R, (0.0, 0.0, -turned[:, 2].min()))
@@ -261,8 +308,7 @@ def _occlude(mask: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     rows, columns = np.nonzero(mask)
     if len(rows) == 0:
         return mask
-    angle = rng.uniform(0, 2 * np.pi)
-    along = rows * np.sin(angle) + columns * np.cos(angle)
+    along = across_edge(mask.shape, rng.uniform(0, 2 * np.pi))[rows, columns]
     keep = along > np.quantile(along, rng.uniform(0.1, 0.5))
     cut = np.zeros_like(mask)
     cut[rows[keep], columns[keep]] = True
@@ -272,10 +318,15 @@ def _occlude(mask: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 __all__ = [
     "View",
     "ViewsConfig",
+    "across_edge",
     "cached_views",
     "config_id",
+    "read_views",
     "render_views",
+    "rest_rotation",
     "seed_of",
     "shape_source",
     "training_sources",
+    "views_of_mesh",
+    "write_views",
 ]

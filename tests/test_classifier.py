@@ -1,0 +1,127 @@
+"""Classes are known by prototypes: what scores follow from them, for whatever classes a library has."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from gfp_grasp.detect import (
+    Calibration,
+    EmbeddingNet,
+    Prototypes,
+    class_scores,
+    classify,
+    embed,
+    features,
+    mixture,
+    with_surface,
+)
+from gfp_grasp.errors import UnreadableFile
+from gfp_grasp.primitives import PrimitiveLibrary, save_primitive
+from gfp_grasp.types import SupportPlane
+
+UP = np.array([0.0, 0.0, 1.0])
+TABLE = SupportPlane(UP, 0.0)
+CALIBRATION = Calibration(temperature=0.05, reach=0.3)
+
+
+def _unit(rng: np.random.Generator, *shape: int) -> np.ndarray:
+    vectors = rng.normal(size=shape)
+    return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+
+def _one(vector: np.ndarray) -> Prototypes:
+    return mixture([vector[None]], [1.0])
+
+
+def test_the_class_of_the_prototype_at_the_object_gets_the_score():
+    a, b = np.eye(4)[:2]
+    scores = class_scores(a, {"a": _one(a), "b": _one(b)}, CALIBRATION)
+    floor = np.exp(-0.3 / 0.05)
+    far = floor + np.exp(-1 / 0.05)
+    assert scores["a"] == pytest.approx((1 + floor) / (1 + floor + far))
+    assert sum(scores.values()) == pytest.approx(1.0)
+
+
+def test_equal_prototypes_have_equal_scores():
+    rng = np.random.default_rng(0)
+    own = mixture([_unit(rng, 5, 8)], [1.0])
+    scores = class_scores(_unit(rng, 8), {"a": own, "b": own, "c": own}, CALIBRATION)
+    assert list(scores.values()) == pytest.approx([1 / 3] * 3)
+
+
+def test_what_is_far_from_all_classes_gets_an_even_spread():
+    prototypes = {"a": _one(np.eye(4)[0]), "b": _one(np.array([0.6, 0.8, 0, 0]))}
+    scores = class_scores(-np.eye(4)[0], prototypes, CALIBRATION)
+    assert scores["a"] == pytest.approx(0.5, abs=1e-5)
+
+
+def test_the_order_of_prototypes_says_nothing():
+    rng = np.random.default_rng(1)
+    own, other, thing = _unit(rng, 6, 8), _unit(rng, 3, 8), _unit(rng, 8)
+    first = class_scores(thing, {"a": mixture([own], [1.0]), "b": mixture([other], [1.0])}, CALIBRATION)
+    turned = mixture([own[::-1]], [1.0])
+    assert class_scores(thing, {"a": turned, "b": mixture([other], [1.0])}, CALIBRATION) == pytest.approx(first)
+
+
+def test_subcategories_count_by_their_share():
+    whole, part = np.eye(3)[:1], np.eye(3)[1:]
+    own = mixture([whole, part], [0.8, 0.4])
+    np.testing.assert_allclose(own.weights, [2 / 3, 1 / 6, 1 / 6])
+    np.testing.assert_array_equal(own.vectors, np.eye(3))
+
+
+def test_scores_of_the_others_keep_their_order_when_a_class_is_added():
+    rng = np.random.default_rng(2)
+    known = {name: mixture([_unit(rng, 4, 8)], [1.0]) for name in "abc"}
+    thing = _unit(rng, 8)
+    before = class_scores(thing, known, CALIBRATION)
+    after = class_scores(thing, {**known, "new": _one(thing)}, CALIBRATION)
+    assert after["new"] == max(after.values())
+    for name in "ab":
+        assert after[name] / after["c"] == pytest.approx(before[name] / before["c"])
+
+
+def _standing_tube(rng: np.random.Generator) -> np.ndarray:
+    angle, z = rng.uniform(0, np.pi, 900), rng.uniform(0.01, 0.12, 900)
+    return np.column_stack([0.04 * np.cos(angle), 0.04 * np.sin(angle), z])
+
+
+def test_features_hold_size_apart_from_shape():
+    cloud = with_surface(_standing_tube(np.random.default_rng(0)))
+    large = np.column_stack([7 * cloud[:, :3], cloud[:, 3:]])
+    small, big = features(cloud), features(large)
+    np.testing.assert_allclose(big[:, :7], small[:, :7], rtol=1e-5)
+    np.testing.assert_allclose(big[:, 7] - small[:, 7], np.log(7), rtol=1e-5)
+
+
+def test_the_embedding_has_length_one_and_does_not_see_a_quarter_turn():
+    points = _standing_tube(np.random.default_rng(1))
+    network = EmbeddingNet(16, width=8).eval()
+    here = embed(points, UP, TABLE, network=network)
+    assert np.linalg.norm(here) == pytest.approx(1.0)
+    turned = points @ np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])
+    np.testing.assert_allclose(embed(turned, UP, TABLE, network=network), here, atol=1e-5)
+
+
+def test_an_added_class_takes_part_without_training(tmp_path):
+    points = _standing_tube(np.random.default_rng(2))
+    shipped = PrimitiveLibrary.shipped()
+    donor = shipped.primitive(shipped.categories[0])
+    new = replace(donor, category="tube", spec=None, prototypes=embed(points, UP, TABLE)[None], card={**donor.card})
+    save_primitive(new, tmp_path)
+    library = PrimitiveLibrary.with_shipped(tmp_path)
+    scores = classify(points, UP, TABLE, library=library)
+    assert set(scores) == {*shipped.categories, "tube"}
+    assert scores["tube"] == max(scores.values()) > 0.5
+    assert set(classify(points, UP, TABLE)) == set(shipped.categories)
+
+
+def test_prototypes_of_another_network_are_refused_with_the_command_that_helps(tmp_path):
+    shipped = PrimitiveLibrary.shipped()
+    donor = shipped.primitive(shipped.categories[0])
+    save_primitive(
+        replace(donor, category="tube", spec=None, card={**donor.card, "prototypes_sha256": "0" * 64}), tmp_path
+    )
+    with pytest.raises(UnreadableFile, match="gps prototypes --gps"):
+        classify(_standing_tube(np.random.default_rng(3)), UP, TABLE, library=PrimitiveLibrary(tmp_path))
