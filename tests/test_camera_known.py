@@ -179,7 +179,8 @@ def test_a_viewpoint_may_be_straight_above_and_nowhere_impossible() -> None:
     np.testing.assert_allclose(T[:3, 3], [0.0, 0.0, 0.55], atol=1e-12)
     T = camera.sample_viewpoint(rng, elevation_deg=(-90.0, -90.0), distance_m=0.5)
     np.testing.assert_allclose(T[:3, 3], [0.0, 0.0, -0.45], atol=1e-12)
-    for nonsense in ({"elevation_deg": (-91.0, 0.0)}, {"elevation_deg": (0.0, 91.0)}, {"distance_m": 0.0}):
+    nonsenses: tuple[dict, ...] = ({"elevation_deg": (-91.0, 0.0)}, {"elevation_deg": (0.0, 91.0)}, {"distance_m": 0.0})
+    for nonsense in nonsenses:
         with pytest.raises(InvalidOption, match="elevation"):
             camera.sample_viewpoint(rng, **nonsense)
 

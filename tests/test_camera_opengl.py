@@ -77,7 +77,7 @@ def test_opengl_is_asked_where_it_works_and_gives_the_same_picture(
     depth, geom = render.render_depth(*_scene(), K=K, width=2, height=1, T_world_camera=T, backend=backend)  # type: ignore[arg-type]
     assert bool(drawn) == draws
     if draws:
-        np.testing.assert_array_equal(depth, np.float32([[0.5, 0.0]]))  # 4 m is beyond the limit of 3 m
+        np.testing.assert_array_equal(depth, np.array([[0.5, 0.0]], dtype=np.float32))  # 4 m is beyond the limit of 3 m
         assert geom.tolist() == [[7, -1]]
         assert (drawn[0]["width"], drawn[0]["height"]) == (2, 1)
 

@@ -2,6 +2,7 @@
 
 import numpy as np
 import trimesh
+from numpy.typing import ArrayLike
 
 from gfp_grasp.camera import camera_points, intrinsics, render_mesh_view
 from gfp_grasp.detect import label_picture, label_points
@@ -23,7 +24,9 @@ def _cup(radius: float = 0.04, height: float = 0.09, wall: float = 0.003, floor:
     return trimesh.creation.revolve(profile, sections=48)
 
 
-def _labels(meshes: list[trimesh.Trimesh], eye=ABOVE, target=(0.0, 0.0, 0.0)) -> tuple[np.ndarray, np.ndarray]:
+def _labels(
+    meshes: list[trimesh.Trimesh], eye: ArrayLike = ABOVE, target: ArrayLike = (0.0, 0.0, 0.0)
+) -> tuple[np.ndarray, np.ndarray]:
     """Labels (h, w), and the mesh that each pixel sees 6.5 mm or more over the table; -1 for the others."""
     image, index = render_mesh_view(
         meshes, T_world_camera=look_at(eye, target), K=K, width=WIDTH, height=HEIGHT, table_height=0.0

@@ -266,7 +266,7 @@ def test_ways_up_that_are_tried_follow_from_the_frame() -> None:
     np.testing.assert_allclose(ups[:5], np.array(expected) @ image.T_world_camera[:3, :3].T)
     np.testing.assert_array_equal(ups[5], UP)
     T = make_T(rotation_about((1.0, 0.2, 0.0), 0.3), (0, 0, 2))
-    scan = RangeImage(np.ones((2, 8)), [0.1, -0.1], 0.0, T)
+    scan = RangeImage(np.ones((2, 8)), np.array([0.1, -0.1]), 0.0, T)
     np.testing.assert_allclose(_possible_ups(points, None, scan), [T[:3, 2]])
 
 

@@ -139,6 +139,6 @@ def test_the_core_of_a_vessel_runs_within_its_wall() -> None:
 
 def _hits(mesh: trimesh.Trimesh, origin: tuple, direction: tuple, axis: int = 2) -> np.ndarray:
     """Sorted coordinates of the places where a ray meets the mesh."""
-    origin = np.asarray(origin, dtype=float) + 1.7e-5  # off the vertices
-    places = mesh.ray.intersects_location(origin[None], np.asarray(direction, dtype=float)[None])[0]
+    start = np.asarray(origin, dtype=float) + 1.7e-5  # off the vertices
+    places = mesh.ray.intersects_location(start[None], np.asarray(direction, dtype=float)[None])[0]
     return np.sort(places[:, axis])

@@ -40,6 +40,7 @@ def _trained(tmp_path: Path, config: LoopConfig = CONFIG, loss=_steep, batches=_
         _Weight(), batches, loss, config=config, checkpoint=tmp_path / "new" / name, report=lambda *t: told.append(t)
     )
     assert 0 <= hours < 0.1
+    assert isinstance(network, _Weight)
     return network, told, torch.load(tmp_path / "new" / name, weights_only=True)
 
 

@@ -111,13 +111,12 @@ def test_a_view_is_a_detection_of_its_own_class_on_its_table() -> None:
 
 def test_views_are_rendered_once_and_read_afterwards(wedge: ObjectSource, tmp_path: Path, monkeypatch) -> None:
     assert wedge.path is not None
+    data = wedge.path.parent
 
     def views(**options) -> list[View]:
         found: list[View] = []
         for split in ("train", "val", "test"):
-            found += cached_views(
-                "wedge", split, num_views=2, folder=tmp_path, config=SMALL, data=wedge.path.parent, **options
-            )
+            found += cached_views("wedge", split, num_views=2, folder=tmp_path, config=SMALL, data=data, **options)
         return found
 
     first = views()

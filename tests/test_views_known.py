@@ -110,7 +110,7 @@ def test_the_step_is_the_finer_of_rows_and_columns() -> None:
 
 
 def test_a_lidar_of_one_ring_sees_half_a_hundredth_above_and_below() -> None:
-    view = RangeImage(np.ones((1, 36)), [0.0], 0.0, np.eye(4))
+    view = RangeImage(np.ones((1, 36)), np.zeros(1), 0.0, np.eye(4))
     rows = [view.project([np.cos(a), 0.0, np.sin(a)])[0][1] for a in (0.0, 0.0049, -0.0049, 0.0051, -0.0051)]
     assert np.isnan(rows).tolist() == [False, False, False, True, True]
 
