@@ -72,10 +72,13 @@ def main() -> None:
         drawn = draw(trees[0], options.package, options.rooms, options.count, options.seed)
         _say(f"{len(drawn)} changes drawn")
         records = _records(trees, options.package, options.tests, Path(folder))
-        for trial in drawn:
-            choose_tests(trial, trees[0], options.package, records, options)
+        mixed = random.Random(options.seed).sample(drawn, len(drawn))
         with contextlib.suppress(KeyboardInterrupt):  # what was tried until then is a sample as well
-            _try_all(random.Random(options.seed).sample(drawn, len(drawn)), trees, Path(folder))
+            signal.signal(signal.SIGTERM, signal.default_int_handler)
+            for marker in ("not slow", "slow"):
+                for trial in (t for t in mixed if not t.tests):
+                    choose_tests(trial, trees[0], options.package, records.get(marker, trial.room), records, options)
+                _try_all([t for t in mixed if not t.tried and (t.tests or marker == "slow")], trees, Path(folder))
         drawn = [trial for trial in drawn if trial.tried]
     results = summary(drawn, options.seed, options.count)
     if options.json:
@@ -100,13 +103,13 @@ def draw(root: Path, package: str, rooms: list[str], count: int, seed: int) -> l
     ]
 
 
-def choose_tests(trial: Trial, tree: Path, package: str, records: "_Records", options: argparse.Namespace) -> None:
+def choose_tests(
+    trial: Trial, tree: Path, package: str, known: list[Record], records: "_Records", options: argparse.Namespace
+) -> None:
     """Tests that execute the changed line, then those that execute the module; the room's own and quick ones first."""
-    change = trial.change
-    for marker in ("not slow", "slow"):
-        exact, module = _executing(change, tree, package, records.get(marker, trial.room))
-        if exact:
-            break
+    exact, module = _executing(trial.change, tree, package, known)
+    if not exact:
+        return
     seconds = records.seconds
     own = set(records.own_files(trial.room))
     order = [
@@ -308,7 +311,6 @@ def _places(change: Change, tree: Path, package: str) -> Iterator[tuple[str, int
 
 def _try_all(trials: list[Trial], trees: list[Path], scratch: Path) -> None:
     """Try the changes, as many side by side as there are copies."""
-    signal.signal(signal.SIGTERM, signal.default_int_handler)
     waiting, running, done = list(reversed(trials)), {}, 0
     while waiting or running:
         for tree in trees:
