@@ -66,7 +66,7 @@ class Trial:
 def main() -> None:
     options = _options()
     start = time.perf_counter()
-    with tempfile.TemporaryDirectory(prefix="mutants") as folder:
+    with tempfile.TemporaryDirectory(prefix="mutants", ignore_cleanup_errors=True) as folder:
         trees = [_copy(options.root, Path(folder) / str(n)) for n in range(options.jobs)]
         _enter(options.package, options.warm.split())
         drawn = draw(trees[0], options.package, options.rooms, options.count, options.seed)
@@ -312,27 +312,32 @@ def _places(change: Change, tree: Path, package: str) -> Iterator[tuple[str, int
 def _try_all(trials: list[Trial], trees: list[Path], scratch: Path) -> None:
     """Try the changes, as many side by side as there are copies."""
     waiting, running, done = list(reversed(trials)), {}, 0
-    while waiting or running:
-        for tree in trees:
-            while waiting and tree not in {r.tree for r in running.values()}:
-                trial = waiting.pop()
-                if trial.tests:
-                    started = _start(trial, tree, scratch)
-                    running[started.pid] = started
-                else:
+    try:
+        while waiting or running:
+            for tree in trees:
+                while waiting and tree not in {r.tree for r in running.values()}:
+                    trial = waiting.pop()
+                    if trial.tests:
+                        started = _start(trial, tree, scratch)
+                        running[started.pid] = started
+                    else:
+                        done += 1
+                        _tell(trial, done, len(trials))
+            for pid, run in list(running.items()):
+                late = time.perf_counter() > run.until
+                if late:
+                    _kill(pid)
+                ended, status = os.waitpid(pid, 0 if late else os.WNOHANG)
+                if ended:
+                    del running[pid]
                     done += 1
-                    _tell(trial, done, len(trials))
-        for pid, run in list(running.items()):
-            late = time.perf_counter() > run.until
-            if late:
-                _kill(pid)
-            ended, status = os.waitpid(pid, 0 if late else os.WNOHANG)
-            if ended:
-                del running[pid]
-                done += 1
-                _finish(run, late, status)
-                _tell(run.trial, done, len(trials))
-        time.sleep(0.02)
+                    _finish(run, late, status)
+                    _tell(run.trial, done, len(trials))
+            time.sleep(0.02)
+    finally:
+        for pid in running:
+            _kill(pid)
+            os.waitpid(pid, 0)
 
 
 @dataclass
