@@ -1,5 +1,6 @@
 """Which parts a completed shape gets: levels to try, bounds that must be kept, and what CoACD is asked for."""
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,7 +18,7 @@ L = l_shape()
 DIAGONAL_M = float(np.linalg.norm([0.1, 0.06, 0.02]))
 
 
-def with_errors(errors_m: object) -> GenericPrimitive:
+def with_errors(errors_m: Sequence[Sequence[float]] | np.ndarray) -> GenericPrimitive:
     """The square cup with as many parts as there are errors, all but the first of them anywhere."""
     parts = tuple(box_part([i, 0, 0], [i + 1, 1, 1]) for i in range(len(errors_m)))
     return replace(TEMPLATE, parts=parts, part_errors_m=np.array(errors_m))

@@ -121,7 +121,7 @@ def test_the_mirror_is_at_the_middle_of_what_was_seen_where_the_silhouette_is_ne
     points = np.stack([-0.05 * (1 - np.abs(y) / 0.04), y, z], axis=-1).reshape(-1, 3)
     images = mirror_cloud(detection_of(points, viewpoint=(0.6, 0.0, 0.05)))[len(points) :]
     middle = np.mean(np.quantile(points[:, 0], [0.01, 0.99]))
-    assert images == pytest.approx(points * (-1, 1, 1) + (2 * middle, 0, 0))
+    assert images == pytest.approx(points * (-1, 1, 1) + np.array([2 * middle, 0.0, 0.0]))
 
 
 @pytest.mark.parametrize("name", ["observed", "mirror"])

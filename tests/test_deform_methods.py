@@ -9,7 +9,7 @@ from scipy.spatial import KDTree
 from toy_bodies import T_WORLD_OBJECT, fit_of, moved_view, view_of
 from toy_primitive import toy_cup_primitive
 
-from gfp_grasp.deform import DeformConfig, deform, patch_layout, patch_unit_m
+from gfp_grasp.deform import DeformConfig, Method, deform, patch_layout, patch_unit_m
 from gfp_grasp.deform import gfpnet as networks
 from gfp_grasp.deform import shape as methods
 from gfp_grasp.meshes import vertex_normals
@@ -49,7 +49,7 @@ class Answering:
         return self.answer(*parts)
 
 
-def answer_per_point(monkeypatch, offset, log_sigma=0.0, field=0.0):
+def answer_per_point(monkeypatch, offset, log_sigma: float | np.ndarray = 0.0, field=0.0):
     """Let the default method say this of every point of every patch (patch frame and unit), and of the fit as a whole.
 
     Returns:
@@ -226,7 +226,13 @@ def test_symmetry_is_used_where_it_is_asked_for_and_never_by_the_papers_method(m
     monkeypatch.setattr(methods, "template_points", spied)
     answer_per_point(monkeypatch, (0, 0, 0))
     Answering(monkeypatch, lambda source, template: source)
-    for method, symmetry in (("gfpnet", True), ("gfpnet", False), ("gfpnet-paper", True), ("gfpnet-oneshot", True)):
+    asked_for: tuple[tuple[Method, bool], ...] = (
+        ("gfpnet", True),
+        ("gfpnet", False),
+        ("gfpnet-paper", True),
+        ("gfpnet-oneshot", True),
+    )
+    for method, symmetry in asked_for:
         deform(fit, view, config=DeformConfig(method=method, symmetry=symmetry))
     deform(fit, view, config=DeformConfig(method="gfs", symmetry=False))
     assert asked == [True, False, False, True, False]

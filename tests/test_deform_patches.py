@@ -24,7 +24,7 @@ from gfp_grasp.primitives import load_primitive
 EYE = np.array([0.5, -0.3, 0.4])
 
 
-def template_of(points, normals, mirrored=False):
+def template_of(points, normals, mirrored: bool | np.ndarray = False):
     points = np.asarray(points, dtype=float).reshape(-1, 3)
     normals = np.broadcast_to(np.asarray(normals, dtype=float), points.shape)
     return TemplatePoints(points, normals, np.broadcast_to(mirrored, len(points)).copy())

@@ -31,7 +31,7 @@ def on_cup(azimuth_deg, *, away=0.0, height=0.05, radius=0.006):
     turn = np.deg2rad(azimuth_deg)
     out = np.array([np.cos(turn), np.sin(turn), 0.0])
     level = primitive.vertices[1 + 32 : 1 + 11 * 32]
-    near = level[KDTree(level[:, 2:]).query([[height]])[1][0]]
+    near = level[int(np.abs(level[:, 2] - height).argmin())]
     return disc((np.linalg.norm(near[:2]) + away) * out + [0, 0, height], out, radius=radius)
 
 

@@ -37,7 +37,7 @@ def marked(mesh, detection, sigma_m=None):
 def sheet(z=0.0, *, facing_up=True):
     """An open level sheet."""
     box = slab((0.1, 0.06, 0.01), edge_m=0.01)
-    mesh = box.submesh([box.face_normals[:, 2] > 0.99], append=True)
+    mesh = trimesh.Trimesh(box.vertices.copy(), box.faces[box.face_normals[:, 2] > 0.99])
     mesh.vertices[:, 2] = z
     if not facing_up:
         mesh.invert()
@@ -67,6 +67,7 @@ def test_what_something_of_the_same_surface_hides_is_not_observed():
     """Two level sheets, 4 mm apart, both of them near points: the lower one is hidden by the upper."""
     upper, lower = sheet(0.002), sheet(-0.002)
     both = trimesh.util.concatenate([upper, lower])
+    assert isinstance(both, trimesh.Trimesh)
     observed, _ = marked(both, detection_of(grid(0.002), EYE))
     is_upper = np.asarray(both.vertices)[:, 2] > 0
     inner = (np.abs(both.vertices[:, :2]) < (0.045, 0.025)).all(axis=1)
@@ -119,10 +120,11 @@ def test_a_detection_moves_with_all_that_it_holds():
     assert moved.support.normal == pytest.approx(T[:3, :3] @ normal)
     on_plane = 0.25 * normal + np.cross(normal, [0.3, 0.1, 0.7])
     assert moved.support.normal @ apply_T(T, on_plane) == pytest.approx(moved.support.height_m)
+    assert detection.cloud.viewpoint is not None
     assert moved.cloud.viewpoint == pytest.approx(apply_T(T, detection.cloud.viewpoint))
     assert moved.box.T_world_box == pytest.approx(T @ T_WORLD_OBJECT)
     assert moved.box.extents == pytest.approx([0.1, 0.2, 0.3])
-    assert moved.view is not None
+    assert isinstance(moved.view, DepthImage)
     assert moved.view.T_world_camera == pytest.approx(T @ T_WORLD_OBJECT)
     np.testing.assert_array_equal(moved.view.depth_m, image.depth_m)
     back = move_detection(moved, invert_T(T))

@@ -261,6 +261,8 @@ def test_the_straight_edge_of_what_hides_the_top_is_found_with_its_side():
     evidence, normal, viewpoint = _pillar(SIDE, above_m=0.2)
     hidden = cut_off(evidence)
     assert hidden.cut is not None
+    assert evidence.silhouette is not None
+    assert hidden.silhouette is not None
     assert hidden.cut @ normal > np.cos(np.deg2rad(3))
     assert hidden.floor_sigma_m == evidence.floor_sigma_m  # the foot is seen
     axis, foot = evidence.points.mean(axis=0), _here(evidence, np.array([0.3, 0.4, 0.1]))
@@ -280,6 +282,7 @@ def test_without_a_straight_edge_nothing_is_known_beyond_what_faces_the_viewpoin
     evidence, _, _ = _pillar(SIDE, above_m=0.2)
     hidden = cut_off(evidence, straight=False)
     assert hidden.cut is None
+    assert hidden.silhouette is not None
     axis = evidence.points.mean(axis=0)
     beyond, beside = axis + 0.14 * Z, axis + 0.09 * np.cross(Z, SIDE @ evidence.T_world_level[:3, :3])
     assert hidden.silhouette.free_space_violation(np.array([beyond, beside]))[0].tolist() == [1]

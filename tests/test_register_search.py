@@ -463,6 +463,7 @@ def test_a_direction_is_compared_with_the_cut_as_it_is_seen():
 def test_only_a_guessed_outline_is_taken_for_cut_off(monkeypatch):
     calls = []
     _, evidence = _half_seen_wedge()
+    assert evidence.viewpoint is not None
     silhouette = guessed_silhouette(evidence.points, evidence.viewpoint, TABLETOP)
     guessed = replace(evidence, silhouette=silhouette)
     monkeypatch.setattr(fit_module, "cut_off", lambda seen, *, straight: calls.append(straight) or seen)

@@ -165,7 +165,9 @@ def test_the_order_of_modes_means_nothing(category):
     same = replace(fit, primitive=_reordered(fit.primitive, order), coefficients=fit.coefficients[order])
     torch.manual_seed(0)
     network = PatchNet(32, layers=1).eval()
-    torch.nn.init.normal_(network.decode[1].weight, std=0.1)
+    last = network.decode[1]
+    assert isinstance(last, torch.nn.Linear)
+    torch.nn.init.normal_(last.weight, std=0.1)
     fields = []
     for own in (fit, same):
         patches = make_patches(own.primitive, label.vertices, label.template, label.viewpoint)

@@ -70,7 +70,7 @@ def test_points_of_a_scan_lie_on_its_beams_and_missing_returns_are_none():
     assert scan.free_range_m[1, 10] == 0.0
     cloud = cloud_of(scan)
     assert len(cloud.points) == 5 * 360 - 3
-    np.testing.assert_allclose(cloud.viewpoint, T_WORLD_SENSOR[:3, 3])
+    assert cloud.viewpoint == pytest.approx(T_WORLD_SENSOR[:3, 3])
 
 
 def test_a_moved_scan_sees_the_moved_points_in_the_same_pixels():

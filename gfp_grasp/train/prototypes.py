@@ -51,7 +51,7 @@ def make_prototypes(
     rng = np.random.default_rng(seed)
     count = len(primitive.coefficient_samples) if meshes is None else len(meshes)
     embedded = []
-    for number in np.resize(rng.permutation(count), num_views):
+    for number in np.resize(rng.permutation(count), num_views).tolist():
         mesh = _member(primitive, number) if meshes is None else meshes[number]
         for view in views_of_mesh(ObjectSource(primitive.name, primitive.name), mesh, rng, num_views=1, config=VIEWS):
             above = view.points[view.points[:, 2] > FLOOR_M]
