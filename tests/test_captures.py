@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import real_data
 import trimesh
-from hypothesis import HealthCheck, given, settings
+from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from gfp_grasp.camera import intrinsics, mask_of_points
@@ -183,6 +183,7 @@ def test_missing_file_and_unknown_suffix_are_refused(tmp_path: Path) -> None:
 
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(suffix=st.sampled_from(SUFFIXES), content=st.binary(min_size=1, max_size=200), keep=st.floats(0, 1))
+@example(suffix=".npy", content=bytes(11) + b"[", keep=0.07421875)  # a header that opens a bracket and ends
 def test_broken_files_are_refused_by_name_and_nothing_else(
     tmp_path: Path, suffix: str, content: bytes, keep: float
 ) -> None:

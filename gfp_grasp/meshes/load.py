@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import re
 import struct
+import tokenize
 import zlib
 from collections.abc import Sequence
 from pathlib import Path
@@ -30,6 +31,8 @@ READER_ERRORS = (
     NameError,
     OSError,
     RuntimeError,
+    SyntaxError,  # numpy reads the header of an array as a piece of Python,
+    tokenize.TokenError,  # and then once more, word by word
     TypeError,
     ValueError,
     struct.error,
