@@ -19,7 +19,7 @@ class Capture:
     All of it is in one frame, the world's; where the camera's pose is not known that is the camera's own frame.
 
     Attributes:
-        name: Of the file, without its folder.
+        name: Name of the file, without its folder.
         points: (n, 3) m, points of one object, NaN allowed; None where only a picture is known.
         view: The whole depth picture, or None.
         mask: (h, w) bool, the object's pixels in the view, or None.

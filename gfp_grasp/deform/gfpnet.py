@@ -213,7 +213,7 @@ def solve_change(levers: Levers, normals: Tensor, answer: PatchAnswer) -> Tensor
     Args:
         levers: At the points of the patches, (o, p * n, ...).
         normals: (o, p * n, 3) at these points, in the primitive's frame.
-        answer: Of the network, for the same points.
+        answer: Answer of the network, for the same points.
     """
     o, _, _, u = levers.moves.shape
     ahead = torch.einsum("oqi,oqiu->oqu", normals, levers.moves)
@@ -232,7 +232,7 @@ def change_field(fit: FittedPrimitive, patches: Patches, answer: PatchAnswer) ->
     Args:
         fit: One fit.
         patches: Its own.
-        answer: Of the network, o = 1.
+        answer: Answer of the network, o = 1.
     """
     primitive = fit.primitive
     unit_m = patch_unit_m(primitive)
@@ -259,7 +259,8 @@ class PaperNet(nn.Module):
     """The paper's siamese encoder and dense decoder.
 
     Args:
-        widths: Of the encoder's layers: 64-128-1024 is the paper's iterative network, 64-128-512-1024 its one-shot.
+        widths: Widths of the encoder's layers: 64-128-1024 is the paper's iterative network, 64-128-512-1024 is its
+            one-shot network.
         iterations: How often the answer is looped back.
         dropout: Before the last layer.
         num_source: Points of S.

@@ -162,7 +162,7 @@ def class_scores(
 
     Args:
         embedding: (c,) unit vector.
-        prototypes: Of each class.
+        prototypes: Prototypes of each class.
         calibration: Temperature and reach.
 
     Returns:

@@ -52,7 +52,7 @@ def sweep(
         path: (n, 3) m, y = 0.
         across: (n,) m, half-width along y.
         along: (n,) m, half-thickness in the plane of the curve.
-        power: Of the superellipse section.
+        power: Exponent of the superellipse section.
         segments: Vertices of a ring.
     """
     tangent = np.gradient(path, axis=0)

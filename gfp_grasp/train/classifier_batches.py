@@ -26,15 +26,15 @@ class ClassifierConfig(LoopConfig):
     """Schedule and data of the classifier.
 
     Attributes:
-        width: Of the network.
-        channels: Of an embedding.
-        views: Of each member of a class of the training split.
+        width: Width of the network.
+        channels: Length of an embedding.
+        views: Number of views of each member of a class of the training split.
         limit: Members of a class; None takes the whole split.
         kinds: Kinds of other things.
         members: Members of each of these kinds, two views each.
-        share: Of a batch that are views of classes; the rest are of other things.
+        share: Share of a batch that are views of classes; the rest are views of other things.
         proxies: Vectors that the views of one kind or subcategory are drawn to.
-        kind_weight: Of the loss that tells subcategories of one class apart.
+        kind_weight: Weight of the loss that tells subcategories of one class apart.
         unknown_table: Share of samples whose lowest point stands for the table.
     """
 

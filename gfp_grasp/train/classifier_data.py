@@ -61,7 +61,7 @@ def class_examples(
     Args:
         category: Class.
         split: "train", "val" or "test".
-        num_views: Of each member.
+        num_views: Number of views of each member.
         alike: Classes that a member counts as where the part that tells them apart is not in view.
         limit: At most so many members.
         data: Folder of meshes, as `read_dataset` takes it; None takes procedural shapes.

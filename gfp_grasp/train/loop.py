@@ -29,7 +29,7 @@ class LoopConfig:
         rate: Adam's learning rate at the start.
         decay: Factor on the rate after each of ten equal spans of the schedule (the paper's 0.92).
         weight_decay: Decoupled decay of the weights a step (AdamW); 0 is the paper's Adam.
-        seed: Of initial weights and of the order of the samples.
+        seed: Seed of the initial weights and of the order of the samples.
         bf16: Multiply in bfloat16 (autocast); weights and losses stay float32.
         checkpoint_s: Seconds between checkpoints.
         device: "cpu" or "cuda".
@@ -121,7 +121,7 @@ def write_weights(
 
     Args:
         network: Trained.
-        path: Of the .safetensors file.
+        path: Path of the .safetensors file.
         config: Dataclass with the seed and schedule.
         data: What it was trained on.
         hours: Wall clock.
