@@ -9,10 +9,8 @@ import pytest
 
 from gfp_grasp.bench.ablation import AblationConfig, bench_ablation
 from gfp_grasp.bench.completion import CompletionConfig, bench_completion
-from gfp_grasp.bench.methods import BRIEF, METHODS, config_of
-from gfp_grasp.bench.speed import SIZES, bench_speed
-from gfp_grasp.bench.stability import bench_stability
-from gfp_grasp.bench.views import PROTOCOLS, in_sight, view_object
+from gfp_grasp.bench.methods import BRIEF, METHODS, PROTOCOLS, config_of, in_sight, view_object
+from gfp_grasp.bench.speed import SIZES, bench_speed, bench_stability
 from gfp_grasp.drawing import write_bars, write_curves
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.meshes import sample_surface

@@ -10,7 +10,7 @@ import trimesh
 from gfp_grasp import captures
 from gfp_grasp.camera import camera_points, intrinsics
 from gfp_grasp.captures import Capture, complete_capture, read_capture
-from gfp_grasp.captures.pcd import parse_pcd
+from gfp_grasp.captures.read import parse_pcd
 from gfp_grasp.errors import InvalidCloud, InvalidView, UnreadableFile
 from gfp_grasp.transforms import apply_T, make_T, rotation_about
 from gfp_grasp.types import DepthImage
@@ -194,7 +194,7 @@ class _Calls:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.single: dict = {}
         self.scene: dict = {}
-        module = captures.capture  # type: ignore[attr-defined]
+        module = captures.read  # type: ignore[attr-defined]
         monkeypatch.setattr(module, "complete_to_mesh", lambda points, **keys: self.single.update(keys, points=points))
         monkeypatch.setattr(module, "complete_scene", lambda view, **keys: self.scene.update(keys, view=view))
 

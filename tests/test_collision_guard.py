@@ -16,8 +16,15 @@ import pytest
 import trimesh
 
 from gfp_grasp.collision import DecomposeConfig, decompose
-from gfp_grasp.collision.engines import guard, pipe
-from gfp_grasp.collision.engines.guard import ChildLostError, close_workers, idle_pids, run_guarded
+from gfp_grasp.collision.engines import guard
+from gfp_grasp.collision.engines.guard import (
+    ChildLostError,
+    close_workers,
+    idle_pids,
+    receive_message,
+    run_guarded,
+    send_message,
+)
 from gfp_grasp.errors import Cancelled, DecompositionFailed, InvalidMesh
 
 QUICK = DecomposeConfig(mcts_iterations=60, mcts_nodes=10, resolution=1000, cache=False)
@@ -270,14 +277,14 @@ def test_the_child_says_which_options_it_does_not_know_and_does_without_them():
 def test_a_message_comes_out_of_the_pipe_as_it_went_in_or_not_at_all(cut: int):
     arrays = [np.arange(6.0).reshape(2, 3), np.array([[7, 8]], np.int32), np.zeros((0, 3))]
     stream = io.BytesIO()
-    pipe.send(stream, {"a": [1, "b"]}, [arrays[0].T.copy().T, *arrays[1:]])
+    send_message(stream, {"a": [1, "b"]}, [arrays[0].T.copy().T, *arrays[1:]])
     whole = stream.getvalue()
-    header, back = pipe.receive(io.BytesIO(whole + b"the next one"))
+    header, back = receive_message(io.BytesIO(whole + b"the next one"))
     assert header == {"a": [1, "b"]}
     for one, other in zip(arrays, back, strict=True):
         np.testing.assert_array_equal(one, other, strict=True)
     with pytest.raises(EOFError, match="bytes came"):
-        pipe.receive(io.BytesIO(whole[:cut]))
+        receive_message(io.BytesIO(whole[:cut]))
 
 
 @LINUX

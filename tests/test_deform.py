@@ -17,9 +17,9 @@ from gfp_grasp.deform import (
     make_patches,
     template_points,
 )
-from gfp_grasp.deform.fold_free import damp_until_solid, diffuse
 from gfp_grasp.deform.gfpnet import NUM_FIT, PaperNet, PatchNet, make_network
 from gfp_grasp.deform.patches import blend
+from gfp_grasp.deform.shape import damp_until_solid, diffuse
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.level import make_level_view
 from gfp_grasp.meshes import crossing_faces, sample_surface, vertex_normals

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from toy_bodies import dense_laplacian, l_body, primitive_of, slab
 
-from gfp_grasp.deform.fold_free import damp_until_solid, diffuse
+from gfp_grasp.deform.shape import damp_until_solid, diffuse
 from gfp_grasp.meshes import crossing_faces
 
 

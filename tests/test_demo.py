@@ -14,13 +14,23 @@ import trimesh
 from gfp_grasp.assets import data_dir
 from gfp_grasp.captures import complete_capture, read_capture
 from gfp_grasp.demo import run_demo
-from gfp_grasp.demo.assets import CLUTTER, FILE, SINGLE, load_asset, pick_objects, read_parts, write_parts
-from gfp_grasp.demo.demo_scene import HEADINGS, DemoScene, figures_row
+from gfp_grasp.demo.demo_scene import (
+    CLUTTER,
+    FILE,
+    HEADINGS,
+    SINGLE,
+    DemoScene,
+    figures_row,
+    load_asset,
+    pick_objects,
+    read_parts,
+    write_parts,
+)
 from gfp_grasp.demo.jobs import table_frame
 from gfp_grasp.demo.page import write_page
 from gfp_grasp.drawing import Item
 from gfp_grasp.metrics import completion_errors
-from gfp_grasp.scenes.cache import mesh_sha256
+from gfp_grasp.scenes.objects import mesh_sha256
 from gfp_grasp.transforms import apply_T
 from gfp_grasp.types import CollisionMesh, ConvexPart, TrueObject
 

@@ -8,7 +8,7 @@ import trimesh
 
 from gfp_grasp.camera import intrinsics, render_mesh_view
 from gfp_grasp.detect import DetectConfig, clean_cloud, detect_objects, detect_single, estimate_sigma, make_detection
-from gfp_grasp.detect.box import smallest_rectangle
+from gfp_grasp.detect.merging import smallest_rectangle
 from gfp_grasp.detect.single import _possible_ups
 from gfp_grasp.errors import InvalidCloud, InvalidOption, InvalidView, NothingDetected, TooFewPoints
 from gfp_grasp.transforms import look_at, make_T, rotation_about

@@ -27,7 +27,7 @@ from gfp_grasp.drawing import (
     write_depth,
 )
 from gfp_grasp.drawing.charts import _HATCHES
-from gfp_grasp.drawing.film import FRAME_PX, film_camera
+from gfp_grasp.drawing.pictures import FRAME_PX, film_camera
 from gfp_grasp.transforms import apply_T, make_T, random_rotation
 from gfp_grasp.types import REASONS, DepthImage, Grasp
 

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gfp_grasp.envs.action import NUM_ACTION, ActionCode
+from gfp_grasp.envs.spaces import NUM_ACTION, ActionCode
 from gfp_grasp.errors import InvalidAction, InvalidOption
 from gfp_grasp.transforms import make_T, random_rotation
 from gfp_grasp.types import Grasp

@@ -12,7 +12,7 @@ import trimesh
 
 from gfp_grasp.envs import ActionCode, EnvConfig, Episode, GfpGraspEnv, GraspTask, Randomisation, TrialSettings, shade
 from gfp_grasp.envs import episode as episode_module
-from gfp_grasp.envs.observation import observation_space, observe
+from gfp_grasp.envs.spaces import observation_space, observe
 from gfp_grasp.errors import InvalidGrasp, InvalidOption, InvalidScene, NothingDetected, UnknownDetector
 from gfp_grasp.grasps import plan_grasps
 from gfp_grasp.scenes import TARGET, SceneObject, World

@@ -9,11 +9,9 @@ import trimesh
 
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.grasps import GraspConfig, Gripper, get_planner, plan_grasps, plan_top_down
-from gfp_grasp.grasps.clearance import clearance_around, height_above
-from gfp_grasp.grasps.contact import find_contacts
-from gfp_grasp.grasps.gripper import Box
-from gfp_grasp.grasps.visibility import hidden_share
-from gfp_grasp.grasps.wrench import load_ratio
+from gfp_grasp.grasps.clearance import clearance_around, height_above, hidden_share
+from gfp_grasp.grasps.config import Box
+from gfp_grasp.grasps.contact import find_contacts, load_ratio
 from gfp_grasp.meshes import load_mesh, sample_surface
 from gfp_grasp.transforms import apply_T, make_T, rotation_about
 from gfp_grasp.types import Detection, OrientedBox, PointCloud, SupportPlane
@@ -144,7 +142,7 @@ def test_from_above_nothing_is_taken_that_is_wider_than_the_jaws_and_no_pad_meet
 def test_planners_go_by_name():
     assert get_planner("antipodal") is plan_grasps
     assert get_planner("top-down") is plan_top_down
-    assert get_planner("gfp_grasp.grasps.top_down:plan_top_down") is plan_top_down
+    assert get_planner("gfp_grasp.grasps.planners:plan_top_down") is plan_top_down
 
 
 @pytest.mark.parametrize("plan", [plan_grasps, plan_top_down])

@@ -7,14 +7,10 @@ import numpy as np
 import pytest
 import trimesh
 
-from gfp_grasp.grasps import GraspConfig, Gripper, candidates, clearance, contact, plan
-from gfp_grasp.grasps.candidates import cast_closing_lines, poses_about
-from gfp_grasp.grasps.clearance import clearance_around, height_above
-from gfp_grasp.grasps.contact import Contacts, find_contacts
-from gfp_grasp.grasps.plan import plan_grasps
-from gfp_grasp.grasps.surface import obstacle_of, surface_of
-from gfp_grasp.grasps.visibility import hidden_share
-from gfp_grasp.grasps.wrench import load_ratio
+from gfp_grasp.grasps import GraspConfig, Gripper, clearance, contact, plan
+from gfp_grasp.grasps.clearance import clearance_around, height_above, hidden_share
+from gfp_grasp.grasps.contact import Contacts, find_contacts, load_ratio, obstacle_of, surface_of
+from gfp_grasp.grasps.plan import cast_closing_lines, plan_grasps, poses_about
 from gfp_grasp.meshes import sample_surface
 from gfp_grasp.transforms import apply_T, make_T, rotation_about
 from gfp_grasp.types import DepthImage, Detection, OrientedBox, PointCloud, SupportPlane
@@ -340,7 +336,7 @@ def test_a_line_that_is_upright_has_level_poses_about_it():
     np.testing.assert_allclose(T[:, :3, 2] @ UP, 0.0, atol=1e-12)
     assert len(T) == 8
     assert np.isfinite(T).all()
-    np.testing.assert_allclose(candidates._across(np.eye(3), np.ones(3)) @ np.ones(3), np.full(3, np.sqrt(2)))
+    np.testing.assert_allclose(plan._across(np.eye(3), np.ones(3)) @ np.ones(3), np.full(3, np.sqrt(2)))
 
 
 # Surface, obstacles, visibility

@@ -41,7 +41,7 @@ HEAVY = {
         "bench.collision",
         "examples.",
     ),
-    "ray": ("parallel.cluster",),
+    "ray": ("parallel.jobs",),
     "viser": ("view.",),
 }
 MODULES = sorted(PACKAGE.rglob("*.py"))

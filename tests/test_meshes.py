@@ -13,7 +13,6 @@ from gfp_grasp.errors import InvalidMesh, InvalidOption, UnreadableFile
 from gfp_grasp.meshes import (
     SUFFIXES,
     check_mesh,
-    crossing,
     crossing_faces,
     every_suffix,
     graph_laplacian,
@@ -21,12 +20,11 @@ from gfp_grasp.meshes import (
     load_mesh,
     make_solid,
     neighbour_average,
-    remesh,
     sample_surface,
+    surface,
     vertex_normals,
 )
-from gfp_grasp.meshes.remesh import _level, remeshed
-from gfp_grasp.meshes.solid import _error_m, _filled, _joined
+from gfp_grasp.meshes.solid import _error_m, _filled, _joined, _level, remeshed
 from gfp_grasp.shapes import make_shape
 from gfp_grasp.transforms import make_T
 
@@ -337,7 +335,7 @@ def test_the_zero_level_of_a_distance_is_a_ball_that_looks_outward():
 
 
 def test_what_is_sealed_becomes_solid_and_a_sheet_a_wall_of_two_cells(monkeypatch):
-    monkeypatch.setattr(remesh, "NUM_CELLS", 32)
+    monkeypatch.setattr("gfp_grasp.meshes.solid.NUM_CELLS", 32)
     ball = trimesh.creation.icosphere(subdivisions=3, radius=0.05).apply_translation([0.3, 0.1, 0.2])
     sealed = remeshed(ball)
     assert sealed.contains([[0.3, 0.1, 0.2]])[0]
@@ -351,7 +349,7 @@ def test_what_is_sealed_becomes_solid_and_a_sheet_a_wall_of_two_cells(monkeypatc
 
 
 def test_faces_far_apart_and_faces_of_every_size_are_searched_in_moments(monkeypatch):
-    monkeypatch.setattr(crossing, "_BATCH", 2000)
+    monkeypatch.setattr(surface, "_BATCH", 2000)
     rng = np.random.default_rng(0)
     small = trimesh.creation.icosphere(3, 0.01).apply_translation([0.4, 0.1, 0.2])
     large = trimesh.Trimesh([[0, 0, 0.2], [1, 0, 0.2], [0, 1, 0.2]], [[0, 1, 2]], process=False)

@@ -20,12 +20,10 @@ from gfp_grasp.primitives import (
     save_primitive,
 )
 from gfp_grasp.primitives.correspondence import CorrespondenceConfig, TemplateFitter
-from gfp_grasp.primitives.frame import stand_up
-from gfp_grasp.primitives.modes import shape_model
-from gfp_grasp.primitives.pose import bring_into_one_pose
+from gfp_grasp.primitives.pose import bring_into_one_pose, stand_up
+from gfp_grasp.primitives.procrustes import choose_template, shape_model
 from gfp_grasp.primitives.remesh import RemeshConfig, refine, remesh
 from gfp_grasp.primitives.surface import surface_distance_m
-from gfp_grasp.primitives.template import choose_template
 from gfp_grasp.shapes import make_shape, split_seeds
 from gfp_grasp.train import build_from_folder, build_from_shapes
 from gfp_grasp.transforms import random_rotation

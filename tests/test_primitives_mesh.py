@@ -9,12 +9,10 @@ from revolved import cup, mug, wall_thickness
 
 from gfp_grasp.errors import BuildFailed, InvalidMesh, InvalidOption
 from gfp_grasp.meshes import crossing_faces, vertex_normals
-from gfp_grasp.primitives.part_removal import without_part
-from gfp_grasp.primitives.regions import detect_symmetry, label_regions
+from gfp_grasp.primitives.regions import detect_symmetry, label_regions, without_part
 from gfp_grasp.primitives.remesh import RemeshConfig, refine, remesh
 from gfp_grasp.primitives.resample import ResampleConfig, resample
-from gfp_grasp.primitives.surface import Surface, surface_distance_m
-from gfp_grasp.primitives.untangle import folded_faces, untangle
+from gfp_grasp.primitives.surface import Surface, folded_faces, surface_distance_m, untangle
 from gfp_grasp.types import INSIDE, OUTSIDE
 
 COARSE = RemeshConfig(min_edge=0.02, max_edge=0.08, iterations=4)

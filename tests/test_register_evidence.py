@@ -11,7 +11,7 @@ from gfp_grasp.clouds import estimate_normals, thin
 from gfp_grasp.level import make_level_view
 from gfp_grasp.register import part_is_seen
 from gfp_grasp.register.occlusion import cut_off
-from gfp_grasp.register.surface import surface_samples
+from gfp_grasp.register.state import surface_samples
 from gfp_grasp.transforms import apply_T, invert_T, make_T, rotation_between
 from gfp_grasp.types import (
     BODY_REGIONS,

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial import KDTree
 
-from gfp_grasp.bench.views import view_object
+from gfp_grasp.bench.methods import view_object
 from gfp_grasp.detect import detect_single
 from gfp_grasp.level import make_level_view
 from gfp_grasp.primitives import load_kinds, load_primitive

@@ -13,7 +13,7 @@ from gfp_grasp.collision import hull  # noqa: E402
 from gfp_grasp.collision.cutting import cut_parts  # noqa: E402
 from gfp_grasp.collision.store import CACHE_VARIABLE  # noqa: E402
 from gfp_grasp.errors import InvalidMesh, InvalidOption, InvalidScene, UnreadableFile  # noqa: E402
-from gfp_grasp.scenes import cache, gripper  # noqa: E402
+from gfp_grasp.scenes import handles, objects  # noqa: E402
 from gfp_grasp.transforms import apply_T, invert_T, make_T, rotation_about  # noqa: E402
 from gfp_grasp.types import CollisionMesh, ConvexPart  # noqa: E402
 
@@ -141,25 +141,25 @@ def test_the_gripper_closes_opens_and_follows():
     model, data = started(scenes.build_scene([], gripper=True))
     T = make_T(rotation_about([0.3, 1, 0.2], 2.5), [0.1, 0.05, 0.4])
     scenes.place_gripper(model, data, T, 0.08)
-    assert gripper.gripper_pose(model, data)[1] == pytest.approx(0.08)
+    assert handles.gripper_pose(model, data)[1] == pytest.approx(0.08)
     data.ctrl[:] = 0.0
     simulate(model, data, 0.5)
-    assert gripper.gripper_pose(model, data)[1] == pytest.approx(0.0, abs=5e-4)
+    assert handles.gripper_pose(model, data)[1] == pytest.approx(0.0, abs=5e-4)
     data.ctrl[:] = 0.08
     simulate(model, data, 0.5)
-    pose, opening = gripper.gripper_pose(model, data)
+    pose, opening = handles.gripper_pose(model, data)
     assert opening == pytest.approx(0.08, abs=5e-4)
     assert np.abs(pose - T).max() < 1e-5
     goal = make_T(T[:3, :3], [0.0, 0.1, 0.5])
-    gripper.move_gripper(model, data, goal)
+    handles.move_gripper(model, data, goal)
     simulate(model, data, 0.3)
-    assert np.abs(gripper.gripper_pose(model, data)[0] - goal).max() < 1e-5
+    assert np.abs(handles.gripper_pose(model, data)[0] - goal).max() < 1e-5
 
 
 def test_pads_meet_where_a_grasp_says_they_do():
     model, data = started(scenes.build_scene([], gripper=True))
     scenes.place_gripper(model, data, make_T(None, [0, 0, 1.0]), 0.05)
-    left, right = (data.geom(name) for name in gripper.PADS)
+    left, right = (data.geom(name) for name in handles.PADS)
     assert (left.xpos + right.xpos) / 2 == pytest.approx([0, 0, 1.0], abs=1e-9)
     inner = left.xpos[1] - model.geom("pad_left").size[1]
     assert 2 * inner == pytest.approx(0.05, abs=1e-9)
@@ -173,17 +173,17 @@ def test_a_lifted_cylinder_slips_less_than_a_tenth_of_a_millimetre():
     T = make_T(R, [0, 0.004, 0.06])  # 4 mm off the middle: the first finger to touch pushes it there
     scenes.place_gripper(model, data, T, 0.08)
     assert data.ncon == 4 or all(data.contact.dist > -1e-3)
-    data.ctrl[:] = gripper.SQUEEZE
+    data.ctrl[:] = handles.SQUEEZE
     simulate(model, data, 0.6)
-    before = invert_T(gripper.gripper_pose(model, data)[0]) @ np.append(data.body("thing").xpos, 1)
+    before = invert_T(handles.gripper_pose(model, data)[0]) @ np.append(data.body("thing").xpos, 1)
     for height in np.linspace(0, 0.2, 500):
-        gripper.move_gripper(model, data, make_T(R, [0, 0.004, 0.06 + height]))
+        handles.move_gripper(model, data, make_T(R, [0, 0.004, 0.06 + height]))
         mujoco.mj_step(model, data)
     simulate(model, data, 1.0)
-    after = invert_T(gripper.gripper_pose(model, data)[0]) @ np.append(data.body("thing").xpos, 1)
+    after = invert_T(handles.gripper_pose(model, data)[0]) @ np.append(data.body("thing").xpos, 1)
     assert data.body("thing").xpos[2] == pytest.approx(0.2, abs=1e-3)
     assert np.linalg.norm(after - before) < 1e-4
-    assert abs(data.actuator_force[0]) <= gripper.FORCE_N + 1e-9
+    assert abs(data.actuator_force[0]) <= handles.FORCE_N + 1e-9
 
 
 def test_the_grip_is_as_slippery_as_the_object():
@@ -192,10 +192,10 @@ def test_the_grip_is_as_slippery_as_the_object():
     model, data = started(scenes.build_scene([thing], gripper=True))
     R = np.column_stack([[0, 0, 1.0], [0, 1, 0], [-1.0, 0, 0]])
     scenes.place_gripper(model, data, make_T(R, [0, 0, 0.06]), 0.08)
-    data.ctrl[:] = gripper.SQUEEZE
+    data.ctrl[:] = handles.SQUEEZE
     simulate(model, data, 0.4)
     for height in np.linspace(0, 0.2, 500):
-        gripper.move_gripper(model, data, make_T(R, [0, 0, 0.06 + height]))
+        handles.move_gripper(model, data, make_T(R, [0, 0, 0.06 + height]))
         mujoco.mj_step(model, data)
     assert data.body("ice").xpos[2] < 0.1
 
@@ -250,14 +250,14 @@ def test_a_decomposition_is_made_once_and_read_back_from_disk(tmp_path, monkeypa
 
     for forget in (False, False, True):
         if forget:
-            monkeypatch.setattr(cache, "_memory", {})
-        found = cache.decompose_cached(cylinder(), counted, maker="test")
+            monkeypatch.setattr(objects, "_memory", {})
+        found = objects.decompose_cached(cylinder(), counted, maker="test")
     assert len(calls) == 1
     assert found.parts[0].vertices == pytest.approx(hull(cylinder()).parts[0].vertices)
     (file,) = tmp_path.glob("*.npz")
     file.write_bytes(b"torn")
-    monkeypatch.setattr(cache, "_memory", {})
-    cache.decompose_cached(cylinder(), counted, maker="test")
+    monkeypatch.setattr(objects, "_memory", {})
+    objects.decompose_cached(cylinder(), counted, maker="test")
     assert len(calls) == 2
 
 
@@ -265,7 +265,7 @@ def test_a_cache_that_cannot_be_written_costs_nothing_but_time(tmp_path, monkeyp
     (tmp_path / "file").write_text("in the way")
     monkeypatch.setenv(CACHE_VARIABLE, str(tmp_path / "file" / "below"))
     with pytest.warns(RuntimeWarning, match=CACHE_VARIABLE):
-        assert cache.decompose_cached(cylinder(0.02, 0.05), hull, maker="nowhere").made_by == "hull"
+        assert objects.decompose_cached(cylinder(0.02, 0.05), hull, maker="nowhere").made_by == "hull"
 
 
 def test_a_folder_gives_its_meshes_by_class_and_name(tmp_path):

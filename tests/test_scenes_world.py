@@ -20,17 +20,17 @@ from gfp_grasp.scenes import (
     SceneObject,
     World,
     build_scene,
-    cache,
     compile_scene,
-    gripper,
     gripper_pose,
     load_objects,
     objects,
     place_clutter,
     place_gripper,
-    placing,
     true_object,
 )
+from gfp_grasp.scenes import handles as gripper_handles
+from gfp_grasp.scenes import objects as scene_objects
+from gfp_grasp.scenes import world as scene_world
 from gfp_grasp.transforms import apply_T, make_T, rotation_about
 from gfp_grasp.types import CategorySpec, CollisionMesh, ConvexPart
 
@@ -301,7 +301,7 @@ def test_the_gripper_is_put_at_rest_and_no_wider_than_it_opens():
     np.testing.assert_allclose(world.data.mocap_pos[0], TILTED[:3, 3])
     mujoco.mj_step(world.model, world.data, 50)
     np.testing.assert_allclose(gripper_pose(world.model, world.data)[0], TILTED, atol=1e-4)
-    gripper.move_gripper(world.model, world.data, make_T(t=(0.1, 0, 0.5)))
+    gripper_handles.move_gripper(world.model, world.data, make_T(t=(0.1, 0, 0.5)))
     np.testing.assert_allclose(world.data.mocap_quat[0], (1, 0, 0, 0))
 
 
@@ -440,8 +440,8 @@ def test_plane_cuts_are_taken_where_they_are_true_enough_and_coacd_where_it_is_b
 
 
 def test_parts_are_kept_by_mesh_and_by_maker_and_few_at_a_time(monkeypatch):
-    monkeypatch.setattr(cache, "_memory", {})
-    monkeypatch.setattr(cache, "_KEPT", 2)
+    monkeypatch.setattr(scene_objects, "_memory", {})
+    monkeypatch.setattr(scene_objects, "_KEPT", 2)
     monkeypatch.setenv("GFP_GRASP_CACHE", "off")
     calls = []
 
@@ -450,25 +450,27 @@ def test_parts_are_kept_by_mesh_and_by_maker_and_few_at_a_time(monkeypatch):
         return hull(mesh)
 
     meshes = [box((0.05 + 0.01 * i, 0.05, 0.05)) for i in range(3)]
-    first = cache.decompose_cached(meshes[0], made, maker="a")
-    assert cache.decompose_cached(meshes[0].copy(), made, maker="a") is first
-    cache.decompose_cached(meshes[0], made, maker="b")
+    first = scene_objects.decompose_cached(meshes[0], made, maker="a")
+    assert scene_objects.decompose_cached(meshes[0].copy(), made, maker="a") is first
+    scene_objects.decompose_cached(meshes[0], made, maker="b")
     assert len(calls) == 2
-    cache.decompose_cached(meshes[1], made, maker="a")
-    assert len(cache._memory) == 2
-    cache.decompose_cached(meshes[0], made, maker="a")  # the first was dropped
+    scene_objects.decompose_cached(meshes[1], made, maker="a")
+    assert len(scene_objects._memory) == 2
+    scene_objects.decompose_cached(meshes[0], made, maker="a")  # the first was dropped
     assert len(calls) == 4
 
 
 def test_a_mesh_has_the_hash_of_its_single_precision_bytes():
     mesh = box((0.05, 0.06, 0.07))
-    assert cache.mesh_sha256(mesh) == cache.mesh_sha256(
+    assert scene_objects.mesh_sha256(mesh) == scene_objects.mesh_sha256(
         trimesh.Trimesh(mesh.vertices.astype(np.float32), mesh.faces, process=False)
     )
-    assert cache.mesh_sha256(mesh) != cache.mesh_sha256(
+    assert scene_objects.mesh_sha256(mesh) != scene_objects.mesh_sha256(
         trimesh.Trimesh(mesh.vertices + 1e-6, mesh.faces, process=False)
     )
-    assert cache.mesh_sha256(mesh) != cache.mesh_sha256(trimesh.Trimesh(mesh.vertices, mesh.faces[::-1], process=False))
+    assert scene_objects.mesh_sha256(mesh) != scene_objects.mesh_sha256(
+        trimesh.Trimesh(mesh.vertices, mesh.faces[::-1], process=False)
+    )
 
 
 # Placing
@@ -521,7 +523,7 @@ def test_places_are_even_over_the_disc_and_turns_over_the_circle():
 def test_the_largest_is_placed_first():
     """The first draw of an angle and a reach is that of the largest, whatever the order."""
     circles = [(np.zeros(2), radius) for radius in (0.01, 0.05, 0.02)]
-    centres = placing._scatter(circles, np.random.default_rng(4), 0.2, 0.0)
+    centres = scene_world._scatter(circles, np.random.default_rng(4), 0.2, 0.0)
     rng = np.random.default_rng(4)
     angle, reach = rng.uniform(0, 2 * np.pi), 0.15 * np.sqrt(rng.random())
     assert centres is not None
@@ -539,7 +541,7 @@ def test_so_many_lie_on_their_side_as_are_asked_for():
             assert axis == pytest.approx(1.0) or axis == pytest.approx(0.0, abs=1e-12)
             lying += axis < 0.5
         assert lying / 200 == pytest.approx(share, abs=0.08)
-    rolls = {round(float(placing._turn(mesh.vertices, np.random.default_rng(s), 1.0)[2]), 4) for s in range(20)}
+    rolls = {round(float(scene_world._turn(mesh.vertices, np.random.default_rng(s), 1.0)[2]), 4) for s in range(20)}
     assert len(rolls) > 5  # lying things are rolled to any side
 
 

@@ -8,8 +8,7 @@ import pytest
 import trimesh
 
 from gfp_grasp.shapes import FAMILIES, make_shape, split_seeds
-from gfp_grasp.shapes.curves import inset, rounded, smoothstep, thinned
-from gfp_grasp.shapes.loft import loft, rows, sweep
+from gfp_grasp.shapes.loft import inset, loft, rounded, rows, smoothstep, sweep, thinned
 from gfp_grasp.shapes.vessel import Vessel
 
 # Figures were measured on these shapes. Whoever changes a shape on purpose measures again and writes this file anew:

@@ -10,9 +10,8 @@ from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.shapes import make_assorted, make_shape, split_seeds
 from gfp_grasp.train import ClassifierConfig, alike_in, assorted_examples, class_examples, make_prototypes
 from gfp_grasp.train.calibration import calibrate, embedded
-from gfp_grasp.train.classifier import train_classifier
+from gfp_grasp.train.classifier import NUM_PROTOTYPES, cluster, train_classifier
 from gfp_grasp.train.classifier_data import VIEWS, Example, part_is_seen
-from gfp_grasp.train.prototypes import NUM_PROTOTYPES, cluster
 
 CLASSES = PrimitiveLibrary.shipped().categories
 
@@ -117,7 +116,7 @@ def test_calibration_is_sure_of_what_is_told_apart_and_unsure_of_the_rest():
 
 @pytest.mark.slow
 def test_training_runs_resumes_and_leaves_weights_with_a_card(tmp_path, few_shapes, monkeypatch):
-    monkeypatch.setattr("gfp_grasp.train.prototypes._NUM_VIEWS", 4)
+    monkeypatch.setattr("gfp_grasp.train.classifier._NUM_VIEWS", 4)
     config = ClassifierConfig(steps=6, batch=8, width=8, channels=8, views=1, kinds=10, members=1)
     metrics = train_classifier(config, out=tmp_path / "out", cache=tmp_path)
     first = (tmp_path / "out" / "classifier.safetensors").read_bytes()

@@ -18,8 +18,8 @@ from gfp_grasp.types import (
     SupportPlane,
 )
 from gfp_grasp.types.category import default_density
-from gfp_grasp.types.grasping import REASONS
-from gfp_grasp.types.level import Silhouette
+from gfp_grasp.types.observation import Silhouette
+from gfp_grasp.types.result import REASONS
 from gfp_grasp.types.views import DepthImage
 
 BOX = OrientedBox(np.eye(4), np.ones(3))

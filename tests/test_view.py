@@ -10,18 +10,26 @@ import numpy as np
 import pytest
 
 from gfp_grasp.captures import read_capture
-from gfp_grasp.cli.show import view
+from gfp_grasp.cli.complete import view
 from gfp_grasp.envs import GfpGraspEnv
 from gfp_grasp.envs.episode import Episode
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.grasps import Gripper
 from gfp_grasp.view import view_capture, view_episodes
-from gfp_grasp.view.colours import GUESSED, SEEN, apart, grasp_colour, scale_colours, scale_end_mm, seen_colours
-from gfp_grasp.view.layers import Switches
-from gfp_grasp.view.motion import FRAMES_PER_S, gripper_meshes, record_trial
+from gfp_grasp.view.episodes import FRAMES_PER_S, gripper_meshes, record_trial
+from gfp_grasp.view.layers import (
+    GUESSED,
+    SEEN,
+    Switches,
+    apart,
+    grasp_colour,
+    scale_colours,
+    scale_end_mm,
+    seen_colours,
+)
+from gfp_grasp.view.panels import item_rows, scale_legend, table
 from gfp_grasp.view.scene import OTHER, SUPPORT, ShownScene, scene_cloud, scene_of_capture, scene_of_episode
 from gfp_grasp.view.server import Viewer, free_port
-from gfp_grasp.view.text import item_rows, scale_legend, table
 
 
 @pytest.fixture(scope="module")
@@ -46,7 +54,7 @@ def test_without_viser_the_viewer_is_refused_before_any_work(monkeypatch: pytest
 
 
 def test_importing_package_command_line_and_viewer_loads_no_viser() -> None:
-    code = "import gfp_grasp, gfp_grasp.cli, gfp_grasp.cli.show, gfp_grasp.view, sys; print('viser' in sys.modules)"
+    code = "import gfp_grasp, gfp_grasp.cli, gfp_grasp.cli.complete, gfp_grasp.view, sys; print('viser' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"
 

@@ -7,8 +7,7 @@ import numpy as np
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from gfp_grasp.register.state import PoseShape
-from gfp_grasp.register.surface import surface_samples
+from gfp_grasp.register.state import PoseShape, surface_samples
 from gfp_grasp.transforms import make_T
 from gfp_grasp.types import (
     OUTSIDE,

@@ -16,8 +16,7 @@ if TYPE_CHECKING:
     from gfp_grasp.bench.hostile import HostileConfig, bench_hostile
     from gfp_grasp.bench.methods import BRIEF, METHODS
     from gfp_grasp.bench.registration import RegistrationConfig, bench_registration
-    from gfp_grasp.bench.speed import bench_resets, bench_speed
-    from gfp_grasp.bench.stability import bench_stability
+    from gfp_grasp.bench.speed import bench_resets, bench_speed, bench_stability
     from gfp_grasp.bench.trial import bench_trial
 
 _HOMES = {
@@ -37,7 +36,7 @@ _HOMES = {
     "bench_registration": ("registration", "bench_registration"),
     "bench_resets": ("speed", "bench_resets"),
     "bench_speed": ("speed", "bench_speed"),
-    "bench_stability": ("stability", "bench_stability"),
+    "bench_stability": ("speed", "bench_stability"),
     "bench_trial": ("trial", "bench_trial"),
 }
 

@@ -20,8 +20,8 @@ import mujoco
 import numpy as np
 import trimesh
 
+from gfp_grasp.bench.methods import view_object
 from gfp_grasp.bench.rows import Row
-from gfp_grasp.bench.views import view_object
 from gfp_grasp.collision import DecomposeConfig, collision_of, decompose, hull, union_error_m, within_parts
 from gfp_grasp.complete import complete_to_mesh
 from gfp_grasp.completion import Completion

@@ -21,9 +21,18 @@ import trimesh
 from scipy.spatial import KDTree
 from scipy.stats import rankdata
 
-from gfp_grasp.bench.methods import FORMER_NAMES, METHODS, UNDEFORMED, Answer, run_method
+from gfp_grasp.bench.methods import (
+    FORMER_NAMES,
+    METHODS,
+    PROTOCOLS,
+    UNDEFORMED,
+    Answer,
+    ObjectView,
+    in_sight,
+    run_method,
+    view_object,
+)
 from gfp_grasp.bench.rows import CompletionRow, paired_gain, summarise, table_one
-from gfp_grasp.bench.views import PROTOCOLS, ObjectView, in_sight, view_object
 from gfp_grasp.completion import Completion
 from gfp_grasp.errors import GfpGraspError, InvalidOption
 from gfp_grasp.meshes import sample_surface, vertex_normals

@@ -15,9 +15,9 @@ from typing import Any
 import numpy as np
 import trimesh
 
+from gfp_grasp.bench.methods import view_object
 from gfp_grasp.bench.rows import Row
 from gfp_grasp.bench.vessels import drop_marble, handle_hole, hangs, inside_of, tilt_deg
-from gfp_grasp.bench.views import view_object
 from gfp_grasp.collision import hull
 from gfp_grasp.complete import complete_to_mesh
 from gfp_grasp.completion import Completion

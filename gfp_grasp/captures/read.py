@@ -1,4 +1,8 @@
-"""Reading a recording: what keys and suffixes are understood, and a refusal that says so for everything else."""
+"""Reading a recording: its type, the keys and suffixes that are understood, and a refusal for everything else.
+
+PCD is read in version 0.7, ascii and binary. Source: "The PCD (Point Cloud Data) file format", Point Cloud Library
+documentation.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +10,7 @@ import io
 import re
 import zipfile
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -13,12 +18,131 @@ import trimesh
 
 from gfp_grasp.assets import data_file
 from gfp_grasp.camera import cloud_of, view_from_points
-from gfp_grasp.captures.capture import Capture
-from gfp_grasp.captures.pcd import parse_pcd
+from gfp_grasp.complete import CompleteConfig, Completion, complete_scene, complete_to_mesh
 from gfp_grasp.errors import GfpGraspError, InvalidCloud, InvalidView, UnreadableFile
 from gfp_grasp.meshes import LARGEST_BYTES, READER_ERRORS, read_content
 from gfp_grasp.transforms import apply_T
 from gfp_grasp.types import DepthImage
+
+
+@dataclass(frozen=True, eq=False)
+class Capture:
+    """What a camera recorded: a depth picture, points of one object, or both.
+
+    All of it is in one frame, the world's; where the camera's pose is not known that is the camera's own frame.
+
+    Attributes:
+        name: Name of the file, without its folder.
+        points: (n, 3) m, points of one object, NaN allowed; None where only a picture is known.
+        view: The whole depth picture, or None.
+        mask: (h, w) bool, the object's pixels in the view, or None.
+        viewpoint: (3,) m, where the camera stood, or None.
+        up: (3,) normal of the support; None where it must be estimated.
+        support_height: Height of the support along up, m, or None.
+        truth: The true mesh in place, where somebody knows it: for measuring, never for completing.
+    """
+
+    name: str
+    points: np.ndarray | None = None
+    view: DepthImage | None = None
+    mask: np.ndarray | None = None
+    viewpoint: np.ndarray | None = None
+    up: np.ndarray | None = None
+    support_height: float | None = None
+    truth: trimesh.Trimesh | None = None
+
+    def __post_init__(self) -> None:
+        if self.points is None and self.view is None:
+            raise InvalidCloud(f"{self.name} holds neither points of an object nor a depth picture")
+
+
+def complete_capture(
+    capture: Capture,
+    *,
+    category: str | None = None,
+    detector: str = "tabletop",
+    config: CompleteConfig | None = None,
+    seed: int = 0,
+) -> tuple[Completion, ...]:
+    """Complete the one object whose points are known, or else every object of the picture.
+
+    Args:
+        capture: The recording.
+        category: As complete_to_mesh takes it; a whole picture's objects are classified one by one.
+        detector: Name of the detector for a whole picture, see `gfp_grasp.detect.get_detector`.
+        config: Switches.
+        seed: Seed of every random choice.
+
+    Raises:
+        GfpGraspError: As complete_to_mesh and complete_scene raise it.
+    """
+    if capture.points is None:
+        assert capture.view is not None
+        return complete_scene(capture.view, up=capture.up, detector=detector, config=config, seed=seed)
+    completion = complete_to_mesh(
+        capture.points,
+        viewpoint=capture.viewpoint,
+        up=capture.up,
+        support_height=capture.support_height,
+        view=capture.view,
+        mask=capture.mask,
+        category=category,
+        config=config,
+        seed=seed,
+    )
+    return (completion,)
+
+
+def parse_pcd(content: bytes) -> np.ndarray:
+    """Points (n, 3) float64 of a PCD file; rows may be NaN.
+
+    Raises:
+        UnreadableFile: No PCD header, no x y z among its fields, compressed, or cut short.
+    """
+    header, body = _split(content)
+    names = [name for name, count in zip(header["FIELDS"], _counts(header), strict=True) for _ in range(count)]
+    if not {"x", "y", "z"} <= set(names):
+        raise UnreadableFile(f"the PCD has fields {' '.join(names)}; x y z are expected among them")
+    columns = [names.index(axis) for axis in "xyz"]
+    encoding = header["DATA"][0].lower()
+    if encoding == "ascii":
+        return np.loadtxt(io.BytesIO(body), ndmin=2, usecols=columns).astype(np.float64)
+    if encoding != "binary":
+        raise UnreadableFile(f"the PCD's data is {encoding}; ascii or binary is expected: save it so")
+    layout = np.dtype([(f"{i}", kind) for i, kind in enumerate(_kinds(header))])
+    num_points = int(header["POINTS"][0])
+    if num_points * layout.itemsize > len(body):
+        raise UnreadableFile(f"the PCD promises {num_points} points but is cut short")
+    rows = np.frombuffer(body, dtype=layout, count=num_points)
+    return np.stack([rows[f"{column}"] for column in columns], axis=1).astype(np.float64)
+
+
+def _split(content: bytes) -> tuple[dict[str, list[str]], bytes]:
+    header: dict[str, list[str]] = {}
+    rest = content
+    while "DATA" not in header:
+        line, found, rest = rest.partition(b"\n")
+        words = line.decode("ascii", errors="replace").split()
+        if words and not words[0].startswith("#"):
+            header[words[0].upper()] = words[1:]
+        if not found or len(header) > 20:
+            break
+    missing = [key for key in ("FIELDS", "SIZE", "TYPE", "POINTS", "DATA") if not header.get(key)]
+    if missing:
+        raise UnreadableFile(f"the PCD's header lacks {', '.join(missing)}")
+    return header, rest
+
+
+def _counts(header: dict[str, list[str]]) -> list[int]:
+    return [int(count) for count in header.get("COUNT", ["1"] * len(header["FIELDS"]))]
+
+
+def _kinds(header: dict[str, list[str]]) -> list[str]:
+    kinds = []
+    for size, kind, count in zip(header["SIZE"], header["TYPE"], _counts(header), strict=True):
+        kinds += ["<" + {"F": "f", "I": "i", "U": "u"}[kind.upper()] + size] * count
+    return kinds
+
 
 SAMPLE, SAMPLE_FILE = "sample", "quickstart_mug.npz"
 SUFFIXES = (".npz", ".npy", ".ply", ".pcd", ".xyz", ".txt", ".csv", ".obj")

@@ -1,14 +1,31 @@
-"""`gfp-grasp complete`: a cloud or a picture in, completed shapes out."""
+"""`gfp-grasp complete`, `decompose`, `demo` and `view`: recordings and meshes in, files and pages out."""
 
 import warnings
+import webbrowser
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 import typer
 
-from gfp_grasp.cli.terminal import Detector, Files, Gps, Seed, check_outputs, err, table, vector
+from gfp_grasp.cli.terminal import (
+    Detector,
+    Files,
+    Gps,
+    Seed,
+    check_outputs,
+    err,
+    gps_option,
+    out,
+    stages,
+    table,
+    vector,
+)
+from gfp_grasp.errors import InvalidOption
+
+if TYPE_CHECKING:
+    from gfp_grasp.complete import CompleteConfig
 
 
 def complete(
@@ -68,3 +85,117 @@ def complete(
         milliseconds = f"{1000 * sum(completion.timings_s.values()):.0f}"
         rows.append((completion.category, score, size_mm, seen, parts, milliseconds))
     table(("class", "score", "size, mm", "seen", "parts", "time, ms"), rows)
+
+
+_SHELL_M = 0.002  # wall of a mesh without a volume
+
+
+def decompose(
+    mesh: Annotated[Path, typer.Argument(help="Mesh file, metres: any that trimesh reads.")],
+    output: Annotated[Path, typer.Option("--output", "-o", help=".xml (MJCF), .urdf, or a mesh of all parts.")],
+    engine: Annotated[str, typer.Option(help="coacd, or vhacd, which is an extra.")] = "coacd",
+    threshold: Annotated[float, typer.Option(help="Concavity a part may keep, 0.01 to 1; smaller is finer.")] = 0.05,
+    max_parts: Annotated[int | None, typer.Option(help="Most parts.")] = None,
+    files: Files = False,
+    time_limit: Annotated[float, typer.Option(help="Seconds for all attempts.")] = 300.0,
+    no_cache: Annotated[bool, typer.Option("--no-cache", help="Neither read nor keep what was made before.")] = False,
+    seed: Seed = 0,
+) -> None:
+    """Split a mesh into convex parts with CoACD or V-HACD, for a simulator."""
+    import trimesh
+
+    from gfp_grasp.collision import DecomposeConfig
+    from gfp_grasp.collision import decompose as split
+    from gfp_grasp.export import export_completion, legal_name, needs_parts
+    from gfp_grasp.meshes import every_suffix, load_mesh
+
+    check_outputs([output])
+    config = DecomposeConfig(
+        threshold=threshold,
+        max_convex_hull=-1 if max_parts is None else max_parts,
+        time_limit_s=time_limit,
+        engine=engine,  # pyright: ignore[reportArgumentType] - refused by name if it is another
+        cache=not no_cache,
+        seed=seed,
+    )
+    solid = load_mesh(mesh, suffixes=every_suffix())
+    if solid.is_watertight and solid.volume < 0:  # inside out
+        solid.invert()
+    with stages(time_limit) as tell:
+        collision = split(solid, config=config, progress=tell)
+    parts = [part.to_trimesh() for part in collision.parts]
+    if needs_parts(output):
+        name = legal_name(mesh.stem)
+        shell_m = None if solid.is_volume else _SHELL_M
+        if shell_m:
+            err.print(f"note: the mesh is not closed; its mass is that of a {1000 * shell_m:.0f} mm shell")
+        assets = "files" if files else "embedded"
+        export_completion(solid, parts, output, name=name, shell_thickness_m=shell_m, assets=assets)
+    else:
+        export_completion(trimesh.util.concatenate(parts), parts, output)  # pyright: ignore[reportArgumentType]
+    mean, high, largest = (f"{1000 * error:.2f}" for error in collision.error_m)
+    errors = f"{mean} mm on average, {high} mm for 95 %, {largest} mm at most"
+    cached = ", from the cache" if collision.notes["cached"] else ""
+    out.print(f"{len(parts)} parts in {collision.seconds:.1f} s{cached}; off the mesh by {errors}")
+
+
+def demo(
+    folder: Annotated[Path, typer.Option("--out", help="Folder to write; open its index.html.")] = Path("out"),
+    cloud: Annotated[list[Path] | None, typer.Option(help="Your own cloud of one object; may be repeated.")] = None,
+    capture: Annotated[
+        list[Path] | None, typer.Option(help="Your own .npz capture, or sample; may be repeated.")
+    ] = None,
+    category: Annotated[str | None, typer.Option(help="Class of the object in your recordings.")] = None,
+    folders: Gps = None,
+    seed: Seed = 0,
+) -> None:
+    """Complete and grasp objects of a clutter and a single one, or of your own recordings, and show it in a page."""
+    from gfp_grasp.demo import run_demo  # loads simulator and networks, which --help does without
+
+    recordings = (*(cloud or ()), *(capture or ()))
+    run_demo(folder, recordings=recordings, category=category, config=_config(folders), seed=seed, console=out)
+
+
+def view(
+    capture: Annotated[
+        Path | None, typer.Argument(help="Cloud or .npz capture, metres; left out: sample, which ships.")
+    ] = None,
+    objects: Annotated[
+        str | None,
+        typer.Option(help="Instead: episodes with procedural families or all of them, a mesh file, or a folder."),
+    ] = None,
+    category: Annotated[str | None, typer.Option(help="Class of the object in the capture.")] = None,
+    folders: Gps = None,
+    host: Annotated[str, typer.Option(help="Address to listen at; 0.0.0.0 lets other machines in.")] = "127.0.0.1",
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port, or the next that is free; 0 takes any.")] = 8080,
+    browser: Annotated[bool, typer.Option("--browser/--no-browser", help="Open the page in a browser.")] = False,
+    seed: Seed = 0,
+) -> None:
+    """Serve a page that shows a capture, or episodes of the environment, with all that is made of them."""
+    from gfp_grasp.view import view_capture, view_episodes
+
+    if objects is not None and (capture is not None or category is not None):
+        raise InvalidOption("--objects draws episodes of its own: give either it, or a capture (and its --category)")
+    with err.status("completing and planning ..."):
+        if objects is not None:
+            viewer = view_episodes(objects, gps=gps_option(folders), seed=seed, host=host, port=port)
+        else:
+            viewer = view_capture(
+                capture or "sample", category=category, config=_config(folders), seed=seed, host=host, port=port
+            )
+    with viewer:
+        out.print(f"{viewer.url} shows it; Ctrl-C ends", markup=False)
+        if browser:
+            webbrowser.open(viewer.url)
+        try:
+            viewer.wait()
+        except KeyboardInterrupt:
+            return
+
+
+def _config(folders: list[Path] | None) -> "CompleteConfig":
+    """The default completion, with the classes of a user's folders among those that there are."""
+    from gfp_grasp.complete import CompleteConfig
+    from gfp_grasp.primitives import PrimitiveLibrary
+
+    return CompleteConfig(library=PrimitiveLibrary.with_shipped(*(folders or ())))

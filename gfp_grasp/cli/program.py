@@ -9,13 +9,10 @@ import typer
 from threadpoolctl import threadpool_limits
 
 from gfp_grasp.cli.bench_physics import bench  # which adds its commands to those of gfp_grasp.cli.bench
-from gfp_grasp.cli.complete import complete
-from gfp_grasp.cli.decompose import decompose
-from gfp_grasp.cli.primitives import gps
+from gfp_grasp.cli.complete import complete, decompose, demo, view
 from gfp_grasp.cli.score import score
-from gfp_grasp.cli.show import demo, view
 from gfp_grasp.cli.terminal import say_error
-from gfp_grasp.cli.training import train
+from gfp_grasp.cli.training import gps, train
 from gfp_grasp.errors import GfpGraspError
 
 _STOPPED = 130

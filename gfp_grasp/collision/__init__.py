@@ -12,11 +12,10 @@ if TYPE_CHECKING:
     from gfp_grasp.collision.config import CollisionConfig, DecomposeConfig
     from gfp_grasp.collision.convex import MIN_THICKNESS_M, convex_part
     from gfp_grasp.collision.cutting import cut_parts
-    from gfp_grasp.collision.decomposition import decompose, hull, part_levels
+    from gfp_grasp.collision.decomposition import decompose, decompose_many, hull, part_levels
     from gfp_grasp.collision.deformed import deform_parts
     from gfp_grasp.collision.engines.guard import close_workers, idle_pids
     from gfp_grasp.collision.fidelity import union_error_m
-    from gfp_grasp.collision.many import decompose_many
     from gfp_grasp.collision.parts import parts_from_arrays, parts_to_arrays, within_parts
     from gfp_grasp.collision.store import CACHE_VARIABLE, key_of, read_parts, write_parts
 
@@ -54,7 +53,7 @@ _HOMES = {
     "convex_part": "convex",
     "cut_parts": "cutting",
     "decompose": "decomposition",
-    "decompose_many": "many",
+    "decompose_many": "decomposition",
     "deform_parts": "deformed",
     "hull": "decomposition",
     "idle_pids": "engines.guard",

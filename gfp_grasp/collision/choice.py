@@ -10,12 +10,18 @@ from weakref import WeakKeyDictionary
 import numpy as np
 import trimesh
 
-from gfp_grasp.collision.cavity import LEAST_BALL, ball_radii_m, barycentric_hold, widest_gap
 from gfp_grasp.collision.config import CollisionConfig, DecomposeConfig
 from gfp_grasp.collision.convex import convex_part
 from gfp_grasp.collision.decomposition import decompose, hull
 from gfp_grasp.collision.deformed import deform_parts, matching_primitive
-from gfp_grasp.collision.fidelity import union_error_m, volume_ratios
+from gfp_grasp.collision.fidelity import (
+    LEAST_BALL,
+    ball_radii_m,
+    barycentric_hold,
+    union_error_m,
+    volume_ratios,
+    widest_gap,
+)
 from gfp_grasp.collision.parts import PartFaces, diagonal_m, volume_m3
 from gfp_grasp.errors import DecompositionFailed, InvalidMesh
 from gfp_grasp.types import CollisionMesh, CompletedShape, GenericPrimitive

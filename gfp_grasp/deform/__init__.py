@@ -4,10 +4,16 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from gfp_grasp.deform.gfs import SnakeConfig, evolve
-from gfp_grasp.deform.layout import NUM_PATCHES, NUM_SOURCE, patch_layout, patch_unit_m
 from gfp_grasp.deform.patches import MISFIT_SHARE, NUM_TEMPLATE, Patches, make_patches
 from gfp_grasp.deform.shape import DeformConfig, Deformed, Method, deform
-from gfp_grasp.deform.template import TemplatePoints, template_points
+from gfp_grasp.deform.template import (
+    NUM_PATCHES,
+    NUM_SOURCE,
+    TemplatePoints,
+    patch_layout,
+    patch_unit_m,
+    template_points,
+)
 
 if TYPE_CHECKING:
     from gfp_grasp.deform.gfpnet import (

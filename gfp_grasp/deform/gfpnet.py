@@ -27,8 +27,8 @@ from safetensors.torch import load_file
 from torch import Tensor, nn
 
 from gfp_grasp.assets import data_file
-from gfp_grasp.deform.layout import patch_unit_m
 from gfp_grasp.deform.patches import MISFIT_SHARE, NUM_POSE_FEATURES, NUM_RESIDUALS, Patches
+from gfp_grasp.deform.template import patch_unit_m
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.register import mlp
 from gfp_grasp.types import FittedPrimitive

@@ -7,8 +7,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 from scipy.spatial import KDTree
 
-from gfp_grasp.deform.layout import patch_layout, patch_unit_m
-from gfp_grasp.deform.template import TemplatePoints
+from gfp_grasp.deform.template import TemplatePoints, patch_layout, patch_unit_m
 from gfp_grasp.meshes import vertex_normals
 from gfp_grasp.types import GenericPrimitive
 

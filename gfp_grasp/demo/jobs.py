@@ -13,8 +13,7 @@ from gfp_grasp.camera import SensorModel, apply_sensor, intrinsics, render_depth
 from gfp_grasp.captures import Capture, complete_capture
 from gfp_grasp.complete import CompleteConfig, complete_scene
 from gfp_grasp.completion import Completion
-from gfp_grasp.demo.assets import load_asset
-from gfp_grasp.demo.demo_scene import DemoScene, write_scene
+from gfp_grasp.demo.demo_scene import DemoScene, load_asset, write_scene
 from gfp_grasp.drawing import Item, filmed_trial, items_of, plan_among
 from gfp_grasp.envs import run_trial
 from gfp_grasp.metrics import completion_errors

@@ -9,7 +9,7 @@ import trimesh
 
 from gfp_grasp.assets import data_dir
 from gfp_grasp.captures import SAMPLE_FILE
-from gfp_grasp.demo.assets import CLUTTER, FILE, SINGLE, pick_objects, write_parts
+from gfp_grasp.demo.demo_scene import CLUTTER, FILE, SINGLE, pick_objects, write_parts
 from gfp_grasp.demo.jobs import EYES, set_stage, take_picture
 from gfp_grasp.transforms import apply_T, invert_T
 

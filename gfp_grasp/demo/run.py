@@ -14,8 +14,7 @@ from rich.table import Table
 
 from gfp_grasp.captures import read_capture
 from gfp_grasp.complete import CompleteConfig
-from gfp_grasp.demo.assets import CLUTTER, SINGLE, pick_objects
-from gfp_grasp.demo.demo_scene import HEADINGS, WORD_HEADINGS, DemoScene, figures_row
+from gfp_grasp.demo.demo_scene import CLUTTER, HEADINGS, SINGLE, WORD_HEADINGS, DemoScene, figures_row, pick_objects
 from gfp_grasp.demo.jobs import EYES, recorded_scene, simulated_scene
 from gfp_grasp.demo.page import write_page
 

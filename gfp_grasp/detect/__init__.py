@@ -3,10 +3,17 @@
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from gfp_grasp.detect.box import upright_box
 from gfp_grasp.detect.clusters import label_picture, label_points
-from gfp_grasp.detect.detector import DetectConfig, detect_objects, estimate_sigma, make_detection
-from gfp_grasp.detect.detectors import DETECTORS, Detector, get_detector
+from gfp_grasp.detect.detector import (
+    DETECTORS,
+    DetectConfig,
+    Detector,
+    detect_objects,
+    estimate_sigma,
+    get_detector,
+    make_detection,
+)
+from gfp_grasp.detect.merging import upright_box
 from gfp_grasp.detect.single import detect_single
 from gfp_grasp.detect.support import find_support
 from gfp_grasp.detect.validate import clean_cloud, numbers_of

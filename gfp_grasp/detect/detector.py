@@ -1,17 +1,21 @@
-"""From a depth picture or a cloud to detections: support, objects, category, box."""
+"""From a depth picture or a cloud to detections (support, objects, category, box), by detectors with names."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from functools import partial
+from typing import Protocol
 
 import numpy as np
 
 from gfp_grasp.clouds import local_axes
-from gfp_grasp.detect.box import upright_box
 from gfp_grasp.detect.clusters import label_picture, label_points
+from gfp_grasp.detect.merging import upright_box
 from gfp_grasp.detect.support import find_support
-from gfp_grasp.errors import InvalidOption, NothingDetected
+from gfp_grasp.errors import InvalidOption, NothingDetected, UnknownDetector
 from gfp_grasp.parallel import one_thread
+from gfp_grasp.plugins import imported_function
 from gfp_grasp.transforms import apply_T, invert_T
 from gfp_grasp.types import TABLETOP, DepthImage, Detection, PointCloud, SensorProfile, SupportPlane, View
 
@@ -202,3 +206,47 @@ def estimate_sigma(
         rays /= np.linalg.norm(rays, axis=1, keepdims=True)
         residual = residual / np.maximum(np.abs(np.einsum("ni,ni->n", rays, axes[:, :, 0])), 0.3)
     return float(np.clip(np.median(residual), least_m, most_m))
+
+
+class Detector(Protocol):
+    """A function from a depth picture to the objects in it, largest first, world frame; they need no class."""
+
+    def __call__(self, image: DepthImage, *, up: np.ndarray | None) -> Sequence[Detection]: ...
+
+
+# Classes are named when a detection is completed, by the library of the completion.
+DETECTORS: Mapping[str, Detector] = {"tabletop": partial(detect_objects, config=DetectConfig(classify=False))}
+
+
+def get_detector(name: str) -> Detector:
+    """A detector by name.
+
+    Args:
+        name: `tabletop` (`detect_objects`: what stands on a support plane), or `package.module:function`, a function
+            like it. `make_detection` makes a detection of an object's points; its class is named when it is completed.
+
+    Raises:
+        UnknownDetector: The name is none of these, or cannot be imported.
+    """
+    if name in DETECTORS:
+        return DETECTORS[name]
+    on_offer = ", ".join(DETECTORS)
+    function = imported_function(name, what="detector", of="a view", on_offer=on_offer, error=UnknownDetector)
+    return _checked(function, name)
+
+
+def _checked(function: Callable[..., object], name: str) -> Detector:
+    def detect(image: DepthImage, *, up: np.ndarray | None) -> Sequence[Detection]:
+        answer = function(image, up=up)
+        items = tuple(answer) if isinstance(answer, Sequence) else (answer,)
+        found = tuple(item for item in items if isinstance(item, Detection))
+        if len(found) < len(items):
+            came = next(type(item).__name__ for item in items if not isinstance(item, Detection))
+            raise InvalidOption(
+                f"detector {name!r} returned a {came}; a sequence of gfp_grasp.types.Detection is expected"
+            )
+        if not found:
+            raise NothingDetected(f"detector {name!r} found no object in the picture")
+        return found
+
+    return detect

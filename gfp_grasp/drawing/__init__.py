@@ -1,10 +1,18 @@
 """Objects, films, pictures, charts and HTML for the viewer, the demonstration, the page of a score and the benches."""
 
-from gfp_grasp.drawing.charts import bracket_chart, reasons_chart, reasons_legend, write_bars, write_curves
-from gfp_grasp.drawing.film import every_nth, filmed_trial
-from gfp_grasp.drawing.html import escaped, html_page, spoken, without_paths
+from gfp_grasp.drawing.charts import (
+    bracket_chart,
+    escaped,
+    html_page,
+    reasons_chart,
+    reasons_legend,
+    spoken,
+    without_paths,
+    write_bars,
+    write_curves,
+)
 from gfp_grasp.drawing.items import Item, gripper_mesh, items_of, joined_boxes, make_item, plan_among
-from gfp_grasp.drawing.pictures import overlay, write_clip, write_depth
+from gfp_grasp.drawing.pictures import every_nth, filmed_trial, overlay, write_clip, write_depth
 
 __all__ = [
     "Item",

@@ -4,23 +4,22 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from gfp_grasp.envs.action import ActionCode
-    from gfp_grasp.envs.config import EnvConfig
+    from gfp_grasp.envs.config import EnvConfig, TrialSettings
     from gfp_grasp.envs.episode import Episode, Randomisation
     from gfp_grasp.envs.grasp_env import GfpGraspEnv
     from gfp_grasp.envs.picture import shade
-    from gfp_grasp.envs.settings import TrialSettings
+    from gfp_grasp.envs.spaces import ActionCode
     from gfp_grasp.envs.task import GraspTask
     from gfp_grasp.envs.trial import run_trial
 
 _HOMES = {
-    "ActionCode": "action",
+    "ActionCode": "spaces",
     "EnvConfig": "config",
     "Episode": "episode",
     "GfpGraspEnv": "grasp_env",
     "GraspTask": "task",
     "Randomisation": "episode",
-    "TrialSettings": "settings",
+    "TrialSettings": "config",
     "run_trial": "trial",
     "shade": "picture",
 }

@@ -12,13 +12,10 @@ from gymnasium import spaces
 from gymnasium.utils import EzPickle
 
 from gfp_grasp.complete import Completion
-from gfp_grasp.envs.action import NUM_ACTION, ActionCode
-from gfp_grasp.envs.config import EnvConfig
+from gfp_grasp.envs.config import EnvConfig, TrialSettings
 from gfp_grasp.envs.episode import Episode
-from gfp_grasp.envs.human import HumanView, has_display
-from gfp_grasp.envs.observation import Observation, observation_space, observe
-from gfp_grasp.envs.picture import shade
-from gfp_grasp.envs.settings import TrialSettings
+from gfp_grasp.envs.picture import HumanView, has_display, shade
+from gfp_grasp.envs.spaces import NUM_ACTION, ActionCode, Observation, observation_space, observe
 from gfp_grasp.envs.task import GraspTask
 from gfp_grasp.errors import GfpGraspError, InvalidOption
 from gfp_grasp.scenes import ObjectSource, World

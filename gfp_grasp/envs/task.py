@@ -17,9 +17,8 @@ import numpy as np
 from gfp_grasp.complete import Completion
 from gfp_grasp.completers import get_completer
 from gfp_grasp.detect import get_detector
-from gfp_grasp.envs.config import EnvConfig
+from gfp_grasp.envs.config import EnvConfig, TrialSettings
 from gfp_grasp.envs.episode import Episode, draw_episode
-from gfp_grasp.envs.settings import TrialSettings
 from gfp_grasp.envs.trial import run_trial
 from gfp_grasp.errors import GfpGraspError, InvalidOption
 from gfp_grasp.scenes import TARGET, SceneObject, World, load_objects, place_clutter

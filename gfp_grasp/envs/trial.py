@@ -12,7 +12,7 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from gfp_grasp.envs.settings import TrialSettings
+from gfp_grasp.envs.config import TrialSettings
 from gfp_grasp.scenes import TARGET, Handles, World
 from gfp_grasp.transforms import invert_T, make_T
 from gfp_grasp.types import Grasp, Outcome

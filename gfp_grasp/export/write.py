@@ -13,10 +13,7 @@ from numpy.typing import ArrayLike
 
 from gfp_grasp.collision import MIN_THICKNESS_M, convex_part
 from gfp_grasp.errors import InvalidMesh, InvalidOption
-from gfp_grasp.export.files import Body, Part, replacing
-from gfp_grasp.export.mass import mass_properties
-from gfp_grasp.export.mjcf import write_mjcf
-from gfp_grasp.export.urdf import write_urdf
+from gfp_grasp.export.formats import Body, Part, mass_properties, replacing, write_mjcf, write_urdf
 
 _IN_PARTS = (".xml", ".urdf")
 SUFFIXES = (".obj", ".ply", ".stl", ".glb", *_IN_PARTS)

@@ -1,11 +1,9 @@
 """Grasps on a completed shape: antipodal ones, a heuristic beside them, or a planner of the user's own."""
 
-from gfp_grasp.grasps.config import GraspConfig
-from gfp_grasp.grasps.gripper import Box, Gripper
+from gfp_grasp.grasps.config import Box, GraspConfig, Gripper
+from gfp_grasp.grasps.contact import Graspable
 from gfp_grasp.grasps.plan import plan_grasps
-from gfp_grasp.grasps.planners import PLANNERS, Planner, get_planner
-from gfp_grasp.grasps.surface import Graspable
-from gfp_grasp.grasps.top_down import plan_top_down
+from gfp_grasp.grasps.planners import PLANNERS, Planner, get_planner, plan_top_down
 
 __all__ = [
     "PLANNERS",

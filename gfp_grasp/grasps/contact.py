@@ -1,12 +1,96 @@
-"""Where the pads touch: the patches on either side, how squarely they are met and how certain they are."""
+"""Where the pads touch a surface, how squarely and how certainly, and what a grasp there can carry.
+
+The planner works on samples of a completed surface, of its parts and of what stands about. What a grasp carries are
+limits of friction and torque at its pads against the pull of the object's weight.
+"""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
+import trimesh
+from scipy.spatial import KDTree
 
-from gfp_grasp.grasps.gripper import Gripper
+from gfp_grasp.camera import cloud_of
+from gfp_grasp.grasps.config import GraspConfig, Gripper
+from gfp_grasp.meshes import sample_surface
+from gfp_grasp.types import Detection
+
+_REACH_M = 0.35  # neighbours farther from the object than this are out of the gripper's way
+
+
+class Graspable(Protocol):
+    """What the planner looks at; `Completion` is one."""
+
+    @property
+    def mesh(self) -> trimesh.Trimesh: ...
+    @property
+    def parts(self) -> tuple[trimesh.Trimesh, ...]: ...
+    @property
+    def observed(self) -> np.ndarray: ...
+    @property
+    def sigma_m(self) -> np.ndarray: ...
+    @property
+    def detection(self) -> Detection: ...
+
+
+@dataclass(frozen=True, eq=False)
+class Surface:
+    """Samples that the pads may touch.
+
+    Attributes:
+        points: (n, 3) m, world frame.
+        normals: (n, 3) outward.
+        certainty: (n,) how certain the points are to be real, 0 to 1.
+    """
+
+    points: np.ndarray
+    normals: np.ndarray
+    certainty: np.ndarray
+
+
+def surface_of(completion: Graspable, config: GraspConfig, rng: np.random.Generator) -> Surface:
+    """`config.num_points` samples of the completed mesh."""
+    mesh = completion.mesh
+    points, normals, face = sample_surface(mesh, config.num_points, rng)
+    return Surface(points, normals, _certainty(completion, config)[mesh.faces[face]].mean(axis=1))
+
+
+def obstacle_of(completion: Graspable, surface: Surface, config: GraspConfig, rng: np.random.Generator) -> np.ndarray:
+    """Points (k, 3) m that the gripper keeps clear of, in no order: on the mesh, its parts, and what stands about."""
+    parts = [part for part in completion.parts if part.area > 0]
+    areas = np.array([part.area for part in parts])
+    counts = np.ceil(config.num_points / 2 * areas / areas.sum()).astype(int) if len(parts) else []
+    of_parts = [sample_surface(part, int(n), rng)[0] for part, n in zip(parts, counts, strict=True)]
+    corners = [np.asarray(part.vertices) for part in completion.parts]
+    neighbours = _neighbours(completion.detection, config)
+    return rng.permutation(np.concatenate([surface.points, *of_parts, *corners, neighbours]))
+
+
+def _certainty(completion: Graspable, config: GraspConfig) -> np.ndarray:
+    """How certain each vertex (v,) is to be where it was completed; 0 where nobody says how certain it is."""
+    if np.isinf(config.doubt_length_m):
+        return np.ones(len(completion.observed))
+    guessed = np.exp(-np.nan_to_num(completion.sigma_m, nan=np.inf) / config.doubt_length_m)
+    return np.where(completion.observed, 1.0, guessed)
+
+
+def _neighbours(detection: Detection, config: GraspConfig) -> np.ndarray:
+    """Points (n, 3) m on what else stands about: off the support, and off the object."""
+    view, support = detection.view, detection.support
+    if view is None or support is None:
+        return np.empty((0, 3))
+    points = cloud_of(view, None if detection.mask is None else ~detection.mask).points
+    points = points[support.distances(points) > config.neighbour_gap_m]
+    own = np.asarray(detection.cloud.points)
+    points = points[np.linalg.norm(points - own.mean(axis=0), axis=1) < _REACH_M]
+    if not len(points):
+        return points
+    apart = KDTree(own).query(points, distance_upper_bound=config.neighbour_gap_m)[0]
+    return points[np.isinf(apart)]
+
 
 # Surface this close to the first touch counts as touched: pads and real surfaces give way by about as much.
 _TOUCH_M = 1e-3
@@ -161,3 +245,48 @@ class _Patch:
 def _cosine(vectors: np.ndarray, axes: np.ndarray) -> np.ndarray:
     """Cosine (p,) between vectors (p, 3) and unit axes (p, 3); NaN where there is no vector."""
     return np.einsum("pi,pi->p", vectors, axes) / np.maximum(np.linalg.norm(vectors, axis=1), 1e-12)
+
+
+_NUM_SWAYS = 8  # directions around
+_LEAST_LEVER_M = 1e-4
+
+
+def load_ratio(
+    T_world_gripper: np.ndarray,
+    levers_m: np.ndarray,
+    centre: np.ndarray,
+    up: np.ndarray,
+    *,
+    friction: float,
+    sway: float,
+) -> np.ndarray:
+    """The load that a grasp holds, over what its jaws hold of a weight that hangs between them.
+
+    The pads' limit surface is taken for an ellipsoid (Howe and Cutkosky 1996, "Practical force-motion models for
+    sliding manipulation"): a force f across the closing axis and torques t slip once (f / (2 mu N))^2 + sum (t_i /
+    (lever_i N))^2 is 1, N the grip force. The jaws' own strength bears a force along the closing axis. The pull is
+    gravity with a sway to each of eight sides; the worst of the eight counts.
+
+    Args:
+        T_world_gripper: (p, 4, 4), m.
+        levers_m: (p, 3) m, levers of the pads against turns about the gripper's x, y and z, for a unit of grip force.
+        centre: (3,) m, the object's centre of mass.
+        up: (3,) unit, against gravity.
+        friction: Coulomb coefficient mu.
+        sway: Sideways acceleration, as a share of gravity.
+
+    Returns:
+        (p,) from 0 to 1; NaN where the levers are.
+    """
+    R = T_world_gripper[:, :3, :3]
+    arm = np.einsum("pji,pj->pi", R, centre - T_world_gripper[:, :3, 3])
+    side = np.cross(up, np.eye(3)[np.argmin(np.abs(up))])
+    side /= np.linalg.norm(side)
+    turns = 2.0 * np.pi * np.arange(_NUM_SWAYS) / _NUM_SWAYS
+    sways = np.cos(turns)[:, None] * side + np.sin(turns)[:, None] * np.cross(up, side)
+    pull = np.einsum("pji,kj->pki", R, sway * sways - up)
+    torque = np.cross(arm[:, None], pull)
+    slide = pull[..., 0] ** 2 + pull[..., 2] ** 2
+    turn = (2.0 * friction * torque / np.maximum(levers_m, _LEAST_LEVER_M)[:, None]) ** 2
+    needed = np.sqrt(slide + turn.sum(axis=2)).max(axis=1)
+    return 1.0 / np.maximum(needed, 1.0)

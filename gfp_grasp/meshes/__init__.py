@@ -1,7 +1,5 @@
 """Triangle meshes: reading and checking them, sampling, crossings, and making solids of broken ones."""
 
-from gfp_grasp.meshes.crossing import crossing_faces
-from gfp_grasp.meshes.laplacian import graph_laplacian, neighbour_average
 from gfp_grasp.meshes.load import (
     LARGEST_BYTES,
     READER_ERRORS,
@@ -12,7 +10,7 @@ from gfp_grasp.meshes.load import (
     read_content,
 )
 from gfp_grasp.meshes.solid import make_solid
-from gfp_grasp.meshes.surface import sample_surface, vertex_normals
+from gfp_grasp.meshes.surface import crossing_faces, graph_laplacian, neighbour_average, sample_surface, vertex_normals
 
 __all__ = [
     "LARGEST_BYTES",

@@ -1,8 +1,7 @@
 """Generic Primitives: building them from meshes of a class, measuring them, loading the ones that ship."""
 
 from gfp_grasp.primitives.build import BuildConfig, build_primitive, with_parts
-from gfp_grasp.primitives.evaluate import PrimitiveReport, measure_primitive
-from gfp_grasp.primitives.full_fit import fit_full_surface
+from gfp_grasp.primitives.evaluate import PrimitiveReport, fit_full_surface, measure_primitive
 from gfp_grasp.primitives.library import PrimitiveLibrary, list_primitives, load_kinds, load_primitive
 from gfp_grasp.primitives.pose import bring_into_one_pose
 from gfp_grasp.primitives.store import read_primitive, save_primitive

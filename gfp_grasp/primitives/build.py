@@ -15,17 +15,13 @@ from gfp_grasp.errors import BuildFailed, GfpGraspError, InvalidOption
 from gfp_grasp.meshes import check_mesh, crossing_faces, make_solid, vertex_normals
 from gfp_grasp.parallel import Progress
 from gfp_grasp.primitives.correspondence import Correspondence, CorrespondenceConfig, TemplateFitter
-from gfp_grasp.primitives.frame import stand_up
 from gfp_grasp.primitives.mls import project
-from gfp_grasp.primitives.modes import ShapeModel, shape_model
-from gfp_grasp.primitives.part_removal import without_part
-from gfp_grasp.primitives.pose import bring_into_one_pose
-from gfp_grasp.primitives.procrustes import generalized
-from gfp_grasp.primitives.regions import detect_symmetry, label_regions
+from gfp_grasp.primitives.pose import bring_into_one_pose, stand_up
+from gfp_grasp.primitives.procrustes import ShapeModel, choose_template, generalized, shape_model
+from gfp_grasp.primitives.regions import detect_symmetry, label_regions, without_part
 from gfp_grasp.primitives.remesh import RemeshConfig, remesh
 from gfp_grasp.primitives.resample import ResampleConfig, resample
-from gfp_grasp.primitives.template import choose_template
-from gfp_grasp.primitives.untangle import untangle
+from gfp_grasp.primitives.surface import untangle
 from gfp_grasp.types import BODY_REGIONS, GenericPrimitive, Variant
 
 _UP = np.array([0.0, 0.0, 1.0])

@@ -12,8 +12,7 @@ from scipy.spatial import KDTree
 
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.meshes import vertex_normals
-from gfp_grasp.primitives.surface import Surface
-from gfp_grasp.primitives.untangle import folded_faces, relax_folds
+from gfp_grasp.primitives.surface import Surface, folded_faces, relax_folds
 
 # Matches whose normals differ by more than 60 degrees are on another sheet of the surface.
 _COMPATIBLE = 0.5

@@ -11,8 +11,7 @@ from scipy.spatial import KDTree
 
 from gfp_grasp.errors import InvalidMesh, InvalidOption
 from gfp_grasp.meshes import vertex_normals
-from gfp_grasp.primitives.surface import Surface
-from gfp_grasp.primitives.untangle import untangle
+from gfp_grasp.primitives.surface import Surface, untangle
 
 # Botsch and Kobbelt 2004: splitting above 4/3 and collapsing below 4/5 of the wanted length cannot undo each other.
 _SPLIT, _COLLAPSE = 4.0 / 3.0, 4.0 / 5.0

@@ -4,11 +4,9 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from gfp_grasp.register.config import FitConfig, RefineConfig, icp_config, pcrnet_config
-from gfp_grasp.register.fit import fit_best, fit_primitive
-from gfp_grasp.register.parts import part_is_seen
+from gfp_grasp.register.fit import fit_best, fit_primitive, part_is_seen
 from gfp_grasp.register.starts import make_starts
-from gfp_grasp.register.state import PoseShape
-from gfp_grasp.register.surface import primitive_size_m
+from gfp_grasp.register.state import PoseShape, primitive_size_m
 
 if TYPE_CHECKING:
     from gfp_grasp.register.pcrnet import PCRNet, mlp, network_input, rotation_of

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from gfp_grasp.errors import InvalidOption
-from gfp_grasp.register.surface import primitive_size_m
+from gfp_grasp.register.state import primitive_size_m
 from gfp_grasp.types import GenericPrimitive
 
 

@@ -24,8 +24,7 @@ from torch import Tensor, nn
 from gfp_grasp.assets import data_file
 from gfp_grasp.clouds import thin
 from gfp_grasp.parallel import one_thread
-from gfp_grasp.register.state import PoseShape
-from gfp_grasp.register.surface import surface_samples
+from gfp_grasp.register.state import PoseShape, surface_samples
 from gfp_grasp.transforms import rotation_between
 from gfp_grasp.types import GenericPrimitive, LevelView
 

@@ -17,8 +17,7 @@ from typing import Protocol
 
 import numpy as np
 
-from gfp_grasp.register.state import StateBatch
-from gfp_grasp.register.surface import surface_samples
+from gfp_grasp.register.state import StateBatch, surface_samples
 from gfp_grasp.types import GenericPrimitive
 
 

@@ -12,8 +12,7 @@ from gfp_grasp.register.config import FitConfig
 from gfp_grasp.register.occlusion import blocking_cost, truncation_cost
 from gfp_grasp.register.refine import evaluate_states, refine
 from gfp_grasp.register.starts import make_starts
-from gfp_grasp.register.state import PoseShape
-from gfp_grasp.register.surface import primitive_size_m
+from gfp_grasp.register.state import PoseShape, primitive_size_m
 from gfp_grasp.types import GenericPrimitive, LevelView
 
 _HEAD_STEPS = 2  # quick steps that every start takes

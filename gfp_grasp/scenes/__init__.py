@@ -3,16 +3,13 @@
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from gfp_grasp.scenes.cache import mesh_sha256
-from gfp_grasp.scenes.objects import true_object
-from gfp_grasp.scenes.placing import place_clutter
-from gfp_grasp.scenes.scene_object import TARGET, SceneObject
+from gfp_grasp.scenes.objects import TARGET, SceneObject, mesh_sha256, true_object
 from gfp_grasp.scenes.sources import ALL_FAMILIES, ObjectSource, class_and_name, label_of, load_objects
+from gfp_grasp.scenes.world import place_clutter
 
 if TYPE_CHECKING:
     from gfp_grasp.scenes.build import build_scene, compile_scene, save_scene
-    from gfp_grasp.scenes.gripper import gripper_pose, place_gripper
-    from gfp_grasp.scenes.handles import Handles
+    from gfp_grasp.scenes.handles import Handles, gripper_pose, place_gripper
     from gfp_grasp.scenes.world import World
 
 _LATER = {
@@ -20,8 +17,8 @@ _LATER = {
     "World": "world",
     "build_scene": "build",
     "compile_scene": "build",
-    "gripper_pose": "gripper",
-    "place_gripper": "gripper",
+    "gripper_pose": "handles",
+    "place_gripper": "handles",
     "save_scene": "build",
 }
 

@@ -12,7 +12,7 @@ import trimesh
 
 from gfp_grasp.assets import data_dir
 from gfp_grasp.errors import InvalidScene
-from gfp_grasp.scenes.scene_object import SceneObject
+from gfp_grasp.scenes.objects import SceneObject
 from gfp_grasp.transforms import quat_wxyz
 from gfp_grasp.types import ConvexPart
 

@@ -1,17 +1,121 @@
-"""A true object from a mesh: solid, resting on z = 0, in convex parts, with a mass and a friction."""
+"""Objects as a scene takes them: a mesh that is seen, convex parts that collide, a pose, a mass and a friction.
+
+Parts of true objects are kept in memory, and on disk where `collision.store` keeps those of `decompose`.
+"""
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
 from contextlib import suppress
+from dataclasses import dataclass
 
 import numpy as np
 import trimesh
 
-from gfp_grasp.errors import DecompositionFailed, InvalidMesh
+from gfp_grasp.collision import key_of, read_parts, write_parts
+from gfp_grasp.errors import DecompositionFailed, InvalidMesh, InvalidScene
 from gfp_grasp.meshes import check_mesh, make_solid
-from gfp_grasp.scenes.cache import decompose_cached
-from gfp_grasp.types import CategorySpec, CollisionMesh, TrueObject, default_density
+from gfp_grasp.transforms import make_T
+from gfp_grasp.types import CategorySpec, CollisionMesh, ConvexPart, TrueObject, default_density
+
+TARGET = "object"  # the name of the object that a trial grasps, unless it is told another
+
+
+@dataclass(frozen=True, eq=False)
+class SceneObject:
+    """One object of a scene.
+
+    Attributes:
+        name: Name of its body in the simulator; unique in the scene.
+        parts: Convex parts that collide, in the object's frame, m.
+        visual: What cameras see and what gives the inertia, watertight, in the object's frame; None shows the parts.
+        T_world_object: (4, 4) pose at the start.
+        mass_kg: Mass.
+        friction: Sliding friction coefficient of its contacts, whatever touches it.
+        fixed: Stuck to the world.
+    """
+
+    name: str
+    parts: tuple[ConvexPart, ...]
+    visual: trimesh.Trimesh | None
+    T_world_object: np.ndarray
+    mass_kg: float
+    friction: float
+    fixed: bool = False
+
+    def __post_init__(self) -> None:
+        T = np.array(self.T_world_object, dtype=np.float64)
+        if (
+            T.shape != (4, 4)
+            or not np.isfinite(T).all()
+            or not np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-6)
+        ):
+            raise InvalidScene(f"{self.name}: T_world_object must be a finite rigid (4, 4) transform, got\n{T}")
+        if not self.parts:
+            raise InvalidScene(f"{self.name} has no convex parts: it would fall through the table")
+        if not (0 < self.mass_kg < np.inf and 0 <= self.friction < np.inf):
+            raise InvalidScene(
+                f"{self.name}: mass {self.mass_kg} kg must be positive, friction {self.friction} not negative"
+            )
+        T.setflags(write=False)
+        object.__setattr__(self, "T_world_object", T)
+
+    @classmethod
+    def of(cls, truth: TrueObject, T_world_object: np.ndarray, *, name: str | None = None) -> SceneObject:
+        """A true object at a pose, under its own name or another."""
+        return cls(name or truth.name, truth.collision.parts, truth.mesh, T_world_object, truth.mass_kg, truth.friction)
+
+    @classmethod
+    def of_parts(
+        cls, parts: tuple[ConvexPart, ...], mass_kg: float, friction: float, *, name: str = TARGET
+    ) -> SceneObject:
+        """Convex parts in the world frame, lifted out of the table where they reach below z = 0.
+
+        Raises:
+            InvalidScene: There are no parts.
+        """
+        if not parts:
+            raise InvalidScene(f"{name} has no convex parts: it would fall through the table")
+        points = np.concatenate([part.vertices for part in parts])
+        centre = points.mean(axis=0)
+        local = tuple(ConvexPart(part.vertices - centre, part.faces) for part in parts)
+        sunk = min(0.0, float(points[:, 2].min()))
+        return cls(name, local, None, make_T(t=centre - (0.0, 0.0, sunk)), mass_kg, friction)
+
+
+_KEPT = 256  # at 0.2 MB
+_memory: dict[str, CollisionMesh] = {}
+
+
+def mesh_sha256(mesh: trimesh.Trimesh) -> str:
+    """Hash of the vertices as little-endian float32 and the faces as int32: a mesh read twice has one hash anywhere."""
+    digest = hashlib.sha256(np.asarray(mesh.vertices, dtype="<f4").tobytes())
+    digest.update(np.asarray(mesh.faces, dtype="<i4").tobytes())
+    return digest.hexdigest()
+
+
+def decompose_cached(
+    mesh: trimesh.Trimesh, decompose: Callable[[trimesh.Trimesh], CollisionMesh], *, maker: str
+) -> CollisionMesh:
+    """What decompose(mesh) gives, computed once a mesh.
+
+    Args:
+        mesh: Passed on to `decompose`.
+        decompose: The work.
+        maker: Says what `decompose` is and with which options; results of different makers are kept apart.
+    """
+    key = key_of(f"{maker}/{mesh_sha256(mesh)}")
+    if key not in _memory:
+        found = read_parts(key)
+        if found is None:
+            found = decompose(mesh)
+            write_parts(key, found)
+        if len(_memory) >= _KEPT:
+            _memory.pop(next(iter(_memory)))
+        _memory[key] = found
+    return _memory[key]
+
 
 Decompose = Callable[[trimesh.Trimesh], CollisionMesh]
 

@@ -12,8 +12,7 @@ from zlib import crc32
 import numpy as np
 import trimesh
 
-from gfp_grasp.shapes.curves import smooth_noise, smoothstep
-from gfp_grasp.shapes.loft import loft, rows, sweep
+from gfp_grasp.shapes.loft import loft, rows, smooth_noise, smoothstep, sweep
 from gfp_grasp.transforms import make_T, rotation_about
 
 _GRID = np.linspace(0.0, 1.0, 25)

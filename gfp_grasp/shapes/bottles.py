@@ -8,9 +8,7 @@ import numpy as np
 import trimesh
 
 from gfp_grasp.shapes import caps
-from gfp_grasp.shapes.curves import inset, smooth_noise, smoothstep
-from gfp_grasp.shapes.loft import loft, rows, sweep
-from gfp_grasp.shapes.unite import unite
+from gfp_grasp.shapes.loft import inset, loft, rows, smooth_noise, smoothstep, sweep, unite
 
 _GRID = 200
 _KINDS = {

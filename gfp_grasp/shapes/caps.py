@@ -7,8 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import trimesh
 
-from gfp_grasp.shapes.curves import rounded
-from gfp_grasp.shapes.loft import rows, sweep
+from gfp_grasp.shapes.loft import rounded, rows, sweep
 
 Top = tuple[np.ndarray, list[trimesh.Trimesh]]
 

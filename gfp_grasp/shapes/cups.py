@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
-from gfp_grasp.shapes.curves import rounded, smooth_noise, smoothstep
-from gfp_grasp.shapes.loft import loft, rows
+from gfp_grasp.shapes.loft import loft, rounded, rows, smooth_noise, smoothstep
 from gfp_grasp.shapes.vessel import Vessel
 
 GRID = 240

@@ -1,12 +1,100 @@
-"""Closed meshes of revolution-like bodies (rings of superellipses on one axis) and of swept tubes."""
+"""Solids from profiles: bodies of revolution and their like, swept tubes, and booleans of closed solids.
+
+A profile is (m, 2) of radius and height in metres, from the axis at the bottom, up and outside, to the axis again. What
+a boolean returns is a volume without exactly coplanar pieces.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
+import manifold3d
 import numpy as np
 import trimesh
 from numpy.typing import ArrayLike
+from scipy.interpolate import CubicSpline
 
-from gfp_grasp.shapes.curves import thinned
+
+def smooth_noise(rng: np.random.Generator, t: np.ndarray, *, amplitude: float, knots: int) -> np.ndarray:
+    """Smooth random curve (n,) over t in 0 .. 1, a natural cubic spline through normal values at even knots."""
+    values = rng.normal(0.0, amplitude, knots)
+    return CubicSpline(np.linspace(0, 1, knots), values, bc_type="natural")(t)
+
+
+def smoothstep(t: np.ndarray) -> np.ndarray:
+    """0 to 1 with level ends; t is clipped to 0 .. 1."""
+    t = np.clip(t, 0.0, 1.0)
+    return t * t * (3 - 2 * t)
+
+
+def rounded(corners: np.ndarray | list, radii: np.ndarray | list, *, steps: int = 6) -> np.ndarray:
+    """Polyline (n, 2) with its inner corners replaced by arcs.
+
+    Args:
+        corners: (m, 2) m.
+        radii: (m,) m, wanted radius at each corner; limited by what the neighbouring edges leave. The ends stay.
+        steps: Points of an arc.
+    """
+    corners = np.asarray(corners, dtype=np.float64)
+    points = [corners[:1]]
+    for i in range(1, len(corners) - 1):
+        here, back, ahead = corners[i], corners[i - 1] - corners[i], corners[i + 1] - corners[i]
+        room = 0.49 * min(np.linalg.norm(back), np.linalg.norm(ahead))
+        if radii[i] <= 0 or room < 1e-6:
+            points.append(here[None])
+            continue
+        back, ahead = back / np.linalg.norm(back), ahead / np.linalg.norm(ahead)
+        half = np.arccos(np.clip(back @ ahead, -1, 1)) / 2
+        cut = min(radii[i] / max(np.tan(half), 1e-6), room)
+        t = np.linspace(0, 1, steps)[:, None]
+        # A quadratic Bezier arc: within a few per cent of the circle, and it cannot overshoot.
+        points.append((1 - t) ** 2 * (here + cut * back) + 2 * t * (1 - t) * here + t**2 * (here + cut * ahead))
+    return np.concatenate([*points, corners[-1:]])
+
+
+def inset(radius: np.ndarray, height: np.ndarray, wall_m: float) -> np.ndarray:
+    """Radius (n,) of the curve at a distance of wall_m inside radius(height): erosion by a disc.
+
+    Args:
+        radius: (n,) m over rising heights; beyond the ends it goes on as it ended.
+        height: (n,) m, rising.
+        wall_m: Distance, m.
+    """
+    steps = np.linspace(-1, 1, 33)
+    shifted = np.interp(height[:, None] + wall_m * steps[None], height, radius)
+    return (shifted - wall_m * np.sqrt(1 - steps**2)[None]).min(axis=1)
+
+
+def thinned(points: np.ndarray, *, tolerance: float, longest: float) -> np.ndarray:
+    """Indices of the points that keep a polyline within a tolerance (Douglas-Peucker), no two further than `longest`.
+
+    Args:
+        points: (n, d) m.
+        tolerance: m.
+        longest: m.
+
+    Returns:
+        (k,) int, rising, with both ends.
+    """
+    keep = np.zeros(len(points), dtype=bool)
+    keep[[0, -1]] = True
+    stack = [(0, len(points) - 1)]
+    while stack:
+        first, last = stack.pop()
+        if last - first < 2:
+            continue
+        chord, inner = points[last] - points[first], points[first + 1 : last] - points[first]
+        t = np.clip(inner @ chord / max(chord @ chord, 1e-18), 0, 1)
+        distance = np.linalg.norm(inner - t[:, None] * chord, axis=1)
+        far = int(distance.argmax()) + 1
+        if distance[far - 1] <= tolerance:
+            if np.linalg.norm(chord) <= longest:
+                continue
+            far = (last - first) // 2
+        keep[first + far] = True
+        stack += [(first, first + far), (first + far, last)]
+    return np.flatnonzero(keep)
+
 
 # Profile points closer than this are one: rings that coincide would make faces without area.
 _COINCIDENT = 2e-5
@@ -103,3 +191,49 @@ def _angles(rings: np.ndarray, segments: int) -> np.ndarray:
     reach = ((np.abs(cos) / widest[0]) ** widest[3] + (np.abs(sin) / widest[1]) ** widest[3]) ** (-1 / widest[3])
     length = np.concatenate([[0], np.cumsum(np.hypot(np.diff(reach * cos), np.diff(reach * sin)))])
     return np.interp(np.arange(segments) / segments * length[-1], length, dense)
+
+
+# Convex decomposition aborts on some unions with exactly coplanar faces; this much jitter cures it, and a union is not
+# known to a micrometre anyway.
+_JITTER_M = 1e-6
+# Edges that a union leaves shorter than this are collapsed.
+_SLIVER_M = 1e-5
+
+
+def unite(meshes: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
+    """Union of closed meshes, jittered by at most a micrometre."""
+    whole = manifold3d.Manifold.batch_boolean([_solid(mesh) for mesh in meshes], manifold3d.OpType.Add)
+    mesh = _mesh(whole.simplify(_SLIVER_M))
+    room = np.minimum(_JITTER_M, 0.05 * _smallest_altitudes(mesh.vertices, mesh.faces))
+    turn = np.random.default_rng(len(mesh.vertices)).uniform(-1, 1, mesh.vertices.shape)
+    return trimesh.Trimesh(mesh.vertices + room[:, None] * turn, mesh.faces, process=False)
+
+
+def subtract(mesh: trimesh.Trimesh, other: trimesh.Trimesh) -> trimesh.Trimesh:
+    """What of a closed mesh is outside of another."""
+    return _mesh(_solid(mesh) - _solid(other))
+
+
+def _smallest_altitudes(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Smallest altitude (v,) m of the faces around each vertex: moved by less, no sliver turns over."""
+    corners = vertices[faces]
+    edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
+    doubled = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    smallest = np.full(len(vertices), np.inf)
+    np.minimum.at(smallest, faces.ravel(), np.repeat(doubled / edges.max(axis=1), 3))
+    return smallest
+
+
+def _solid(mesh: trimesh.Trimesh) -> manifold3d.Manifold:
+    vertices, faces = (
+        np.array(mesh.vertices, dtype=np.float64, order="C"),
+        np.array(mesh.faces, dtype=np.uint64, order="C"),
+    )
+    return manifold3d.Manifold(manifold3d.Mesh64(vertices, faces))
+
+
+def _mesh(solid: manifold3d.Manifold) -> trimesh.Trimesh:
+    raw = solid.to_mesh64()
+    return trimesh.Trimesh(
+        np.asarray(raw.vert_properties)[:, :3], np.asarray(raw.tri_verts).astype(np.int64), process=False
+    )

@@ -6,9 +6,7 @@ import numpy as np
 import trimesh
 
 from gfp_grasp.shapes.cups import GRID, base_rounding, lip, side
-from gfp_grasp.shapes.curves import rounded, smoothstep
-from gfp_grasp.shapes.loft import sweep
-from gfp_grasp.shapes.unite import subtract, unite
+from gfp_grasp.shapes.loft import rounded, smoothstep, subtract, sweep, unite
 from gfp_grasp.shapes.vessel import Vessel
 
 _HANDLES = {"round": 0.34, "d": 0.26, "ear": 0.24, "square": 0.16}

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import trimesh
 
-from gfp_grasp.shapes.curves import inset
-from gfp_grasp.shapes.loft import loft, rows
+from gfp_grasp.shapes.loft import inset, loft, rows
 
 
 @dataclass(frozen=True, eq=False)

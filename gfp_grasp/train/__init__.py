@@ -8,12 +8,10 @@ from gfp_grasp.train.primitives import build_from_folder, build_from_shapes, pro
 from gfp_grasp.train.views import View, ViewsConfig, across_edge, render_views, rest_rotation, shape_source
 
 if TYPE_CHECKING:
-    from gfp_grasp.train.classifier import ClassifierConfig, train_classifier
-    from gfp_grasp.train.gfpnet import GFPNET_CONFIGS, train_gfpnet
+    from gfp_grasp.train.classifier import ClassifierConfig, make_prototypes, train_classifier, with_prototypes
+    from gfp_grasp.train.gfpnet import GFPNET_CONFIGS, paper_loss, patches_of_split, train_gfpnet
     from gfp_grasp.train.loop import Batch, LoopConfig, shuffled, train
-    from gfp_grasp.train.paper import paper_loss, patches_of_split
     from gfp_grasp.train.pcrnet import PCRNET_CONFIG, train_pcrnet
-    from gfp_grasp.train.prototypes import make_prototypes, with_prototypes
 
 __all__ = [
     "CACHE",
@@ -51,10 +49,10 @@ __all__ = [
 _WITH_TORCH = {
     **dict.fromkeys(("ClassifierConfig", "train_classifier"), "classifier"),
     **dict.fromkeys(("GFPNET_CONFIGS", "train_gfpnet"), "gfpnet"),
-    **dict.fromkeys(("paper_loss", "patches_of_split"), "paper"),
+    **dict.fromkeys(("paper_loss", "patches_of_split"), "gfpnet"),
     **dict.fromkeys(("Batch", "LoopConfig", "shuffled", "train"), "loop"),
     **dict.fromkeys(("PCRNET_CONFIG", "train_pcrnet"), "pcrnet"),
-    **dict.fromkeys(("make_prototypes", "with_prototypes"), "prototypes"),
+    **dict.fromkeys(("make_prototypes", "with_prototypes"), "classifier"),
 }
 
 

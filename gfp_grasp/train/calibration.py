@@ -18,8 +18,7 @@ from gfp_grasp.detect import (
     upright_points,
     with_surface,
 )
-from gfp_grasp.train.classifier_batches import UP, above_table
-from gfp_grasp.train.classifier_data import Example
+from gfp_grasp.train.classifier_data import UP, Example, above_table
 from gfp_grasp.types import SupportPlane
 
 _UNKNOWN_WEIGHT = 0.2  # in the calibration: an even spread for what is of no class, against a right answer

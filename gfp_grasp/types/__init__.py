@@ -12,17 +12,12 @@ from gfp_grasp.types.category import (
     OptionalPart,
     default_density,
 )
-from gfp_grasp.types.grasping import (
-    REASONS,
-    Grasp,
-    Outcome,
-    TrueObject,
-)
-from gfp_grasp.types.level import LevelView, Silhouette
 from gfp_grasp.types.observation import (
     Detection,
+    LevelView,
     OrientedBox,
     PointCloud,
+    Silhouette,
     SupportPlane,
 )
 from gfp_grasp.types.primitive import (
@@ -37,11 +32,14 @@ from gfp_grasp.types.primitive import (
     default_spec,
 )
 from gfp_grasp.types.result import (
+    REASONS,
     CollisionMesh,
     CompletedShape,
+    Grasp,
+    Outcome,
+    TrueObject,
 )
-from gfp_grasp.types.sensor import LIDAR, SENSORS, TABLETOP, SensorProfile, get_sensor
-from gfp_grasp.types.views import DepthImage, RangeImage, View
+from gfp_grasp.types.views import LIDAR, SENSORS, TABLETOP, DepthImage, RangeImage, SensorProfile, View, get_sensor
 
 __all__ = [
     "BODY_REGIONS",

@@ -1,17 +1,117 @@
-"""The panel beside the scene: switches, the slider of grasps, legends, and what is known of each object."""
+"""The panel beside the scene: switches, the slider of grasps, legends, and what is known of each object.
+
+Every word in it is escaped, since names of files can hold anything.
+"""
 
 from __future__ import annotations
 
+import html
 import threading
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from gfp_grasp.view.layers import Layers, Switches
+import numpy as np
+
+from gfp_grasp.drawing import Item, spoken
+from gfp_grasp.transforms import apply_T, invert_T
+from gfp_grasp.types import Outcome
+from gfp_grasp.view.layers import GUESSED, SEEN, Layers, Switches, scale_stops
 from gfp_grasp.view.scene import ShownScene
-from gfp_grasp.view.text import item_rows, scale_legend, surface_legend, table
 
 if TYPE_CHECKING:
     import viser  # type: ignore[import-not-found]
+
+
+Rows = Sequence[tuple[str, str]]
+_BOX = "font-size:0.8rem;line-height:1.45;padding:0.2rem 0.7rem 0.5rem"
+
+
+def item_rows(item: Item) -> Rows:
+    """Names and values of all figures of an object; lengths in mm."""
+    completion, fit = item.completion, item.completion.fit
+    name = fit.primitive.name if fit else completion.category
+    rows = [("class", name), ("confidence", _scores(item)), ("size", _size(item))]
+    if fit is not None:
+        rows.append(("residual", f"{1000 * fit.residual_m:.2f} mm, {spoken(fit.hypothesis)}"))
+    middle, high = 1000 * np.quantile(completion.sigma_m, (0.5, 0.95))
+    rows.append(("seen", f"{completion.observed.mean():.0%} of {len(completion.observed)} vertices"))
+    rows.append(("sigma", f"{middle:.1f} mm, 95 % below {high:.1f} mm"))
+    parts = completion.collision
+    rows.append(("parts", f"{len(parts.parts)}, {parts.made_by}"))
+    rows.append(("parts off by", "{:.2f} mm, 95 % below {:.2f}, all {:.2f}".format(*(1000 * e for e in parts.error_m))))
+    rows.append(("grasps", f"{len(item.grasps)}, best {item.grasps[0].quality:.2f}" if item.grasps else "none fits"))
+    if item.errors is not None:
+        rows.append(("off the truth", f"{1000 * item.errors.cd_m:.1f} mm, F {item.errors.f_score:.2f} at 5 mm"))
+    rows.append(("time", f"{1000 * item.seconds:.0f} ms, planning {1000 * item.grasp_s:.0f} ms"))
+    if warning := parts.notes.get("warning"):
+        rows.append(("warning", str(warning)))
+    return rows
+
+
+def table(rows: Rows, notes: Iterable[str] = ()) -> str:
+    """Rows as a table, and warnings below it."""
+    body = "".join(
+        f'<tr><td style="opacity:0.65;padding-right:0.8em;vertical-align:top;white-space:nowrap">{_safe(name)}</td>'
+        f"<td>{_safe(value)}</td></tr>"
+        for name, value in rows
+    )
+    warned = "".join(f'<div style="color:#b05c00;margin-top:0.3em">{_safe(note)}</div>' for note in notes)
+    return f'<div style="{_BOX}"><table style="border-spacing:0">{body}</table>{warned}</div>'
+
+
+def line(text: str) -> str:
+    """One line of text."""
+    return f'<div style="{_BOX}">{_safe(text)}</div>'
+
+
+def surface_legend() -> str:
+    """Legend of seen and guessed surface."""
+    dots = "".join(
+        f'<span style="margin-right:1em"><span style="display:inline-block;width:0.8em;height:0.8em;border-radius:50%;'
+        f'margin-right:0.35em;background:rgb{colour}"></span>{word}</span>'
+        for colour, word in ((SEEN, "seen"), (GUESSED, "guessed"))
+    )
+    return f'<div style="{_BOX}">{dots}</div>'
+
+
+def scale_legend(end_mm: float) -> str:
+    """The colour scale of sigma, with its ends and its middle in mm."""
+    ends = "".join(f"<span>{number}</span>" for number in ("0 mm", f"{end_mm / 2:g} mm", f"{end_mm:g} mm and more"))
+    return (
+        f'<div style="{_BOX}">sigma, one standard deviation<div style="height:0.8em;border-radius:2px;'
+        f'background:linear-gradient(to right,{",".join(scale_stops())})"></div>'
+        f'<div style="display:flex;justify-content:space-between">{ends}</div></div>'
+    )
+
+
+def outcome_text(outcome: Outcome) -> str:
+    """Outcome of a grasp, in a line."""
+    reason = spoken(outcome.reason)
+    lift = f"lifted by {1000 * outcome.lift_m:.0f} mm, slipped by {1000 * outcome.slip_m:.1f} mm"
+    if not outcome.success:
+        return f"{reason}: {lift}"
+    return f"{reason}: {lift}, {'fell' if outcome.falls_free else 'did not fall'} when the jaws opened"
+
+
+def _scores(item: Item) -> str:
+    scores = item.completion.scores
+    own = scores.get(item.completion.category)
+    if own is None:
+        return "the class was given"
+    others = [f"{name} {score:.2f}" for name, score in scores.items() if name != item.completion.category]
+    return f"{own:.2f}" + (f" ({', '.join(others)})" if others else "")
+
+
+def _size(item: Item) -> str:
+    """Extents along the primitive's own axes; its z axis is upright."""
+    local = apply_T(invert_T(item.completion.T_world_object), item.completion.mesh.vertices)
+    return " x ".join(f"{1000 * extent:.0f}" for extent in np.ptp(local, axis=0)) + " mm"
+
+
+def _safe(text: str) -> str:
+    return html.escape(text)
+
 
 _LABELS = {
     "scene": ("scene's points", "Grey: the support. A colour for each cluster."),

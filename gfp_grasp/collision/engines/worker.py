@@ -1,9 +1,9 @@
 """The child process in which an engine may abort, hang or run out of memory.
 
 `python -m gfp_grasp.collision.engines.worker ENGINE [MIB]` reads jobs from its standard input and writes answers to its
-standard output, as `pipe` frames them. CoACD logs to file descriptor 1 from C++, so that descriptor is turned away to
-the null device before the engine is loaded, and the answers go out through a copy of it. When the parent goes away, its
-end of the input closes and the child ends itself, even in the midst of a job.
+standard output, as messages. CoACD logs to file descriptor 1 from C++, so that descriptor is turned away to the null
+device before the engine is loaded, and the answers go out through a copy of it. When the parent goes away, its end of
+the input closes and the child ends itself, even in the midst of a job.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import IO
 
 import numpy as np
 
-from gfp_grasp.collision.engines import pipe
+from gfp_grasp.collision.engines.guard import receive_message, send_message
 
 # Vertices, faces and options to hulls, and the options that were unknown.
 Engine = Callable[[np.ndarray, np.ndarray, dict], tuple[list, list[str]]]
@@ -29,14 +29,14 @@ def main() -> None:
     jobs, answers = _take_over_streams()
     memory = _limit_memory(sys.argv[2:])
     run = {"coacd": _coacd, "vhacd": _vhacd}[sys.argv[1]]()
-    pipe.send(answers, {"ready": True, "memory_limit": memory})
+    send_message(answers, {"ready": True, "memory_limit": memory})
     waiting: queue.SimpleQueue = queue.SimpleQueue()
     threading.Thread(target=_read_jobs, args=(jobs, waiting), daemon=True).start()
     while True:
         options, (vertices, faces) = waiting.get()
         hulls, unknown = run(vertices, faces, options)
         arrays = [array for points, triangles in hulls for array in (np.asarray(points), np.asarray(triangles))]
-        pipe.send(answers, {"num_parts": len(hulls), "unknown": unknown}, arrays)
+        send_message(answers, {"num_parts": len(hulls), "unknown": unknown}, arrays)
 
 
 def _coacd() -> Engine:
@@ -99,7 +99,7 @@ def _limit_memory(arguments: list[str]) -> bool:
 def _read_jobs(jobs: IO[bytes], waiting: queue.SimpleQueue) -> None:
     try:
         while True:
-            waiting.put(pipe.receive(jobs))
+            waiting.put(receive_message(jobs))
     except EOFError:
         os._exit(0)  # the main thread may be deep in C++, where no exception would reach it
 

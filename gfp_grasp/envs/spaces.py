@@ -1,10 +1,14 @@
-"""A grasp as a vector between -1 and 1, and back."""
+"""What the agent sees and does: fixed-size arrays of an episode, and a grasp as a vector between -1 and 1."""
 
 from dataclasses import dataclass
 
 import numpy as np
+from gymnasium import spaces
 
+from gfp_grasp.envs.config import EnvConfig
+from gfp_grasp.envs.episode import Episode
 from gfp_grasp.errors import InvalidAction, InvalidOption
+from gfp_grasp.meshes import sample_surface
 from gfp_grasp.transforms import is_rotation, make_T
 from gfp_grasp.types import Grasp
 
@@ -95,3 +99,43 @@ class ActionCode:
 def _unit(vector: np.ndarray, otherwise: np.ndarray) -> np.ndarray:
     length = np.linalg.norm(vector)
     return vector / length if length > _SHORT else otherwise
+
+
+# Clouds are clipped to this far from the world's origin, which is the table's centre; depths to _FARTHEST_M.
+_REACH_M, _FARTHEST_M = 2.0, 10.0
+
+Observation = dict[str, np.ndarray]
+
+
+def observation_space(config: EnvConfig) -> spaces.Dict:
+    """Spaces of `observe`, by key."""
+    cloud = spaces.Box(-_REACH_M, _REACH_M, (config.num_points, 3), np.float32)
+    return spaces.Dict(
+        {
+            "observed": cloud,
+            "observed_mask": spaces.MultiBinary(config.num_points),
+            "completed": spaces.Box(-_REACH_M, _REACH_M, (config.num_points, 3), np.float32),
+            "depth": spaces.Box(0.0, _FARTHEST_M, (config.image_height, config.image_width), np.float32),
+        }
+    )
+
+
+def observe(episode: Episode, config: EnvConfig, rng: np.random.Generator) -> Observation:
+    """Arrays of an episode: the object's points, padded with zeros and masked; samples of the completion; depth.
+
+    Where nothing was detected or completed the cloud is all zeros.
+    """
+    observed = np.zeros((config.num_points, 3), dtype=np.float32)
+    mask = np.zeros(config.num_points, dtype=np.int8)
+    completed = np.zeros((config.num_points, 3), dtype=np.float32)
+    if episode.detection is not None:
+        points = episode.detection.cloud.points
+        if len(points) > config.num_points:
+            points = points[np.sort(rng.choice(len(points), config.num_points, replace=False))]
+        observed[: len(points)] = np.clip(points, -_REACH_M, _REACH_M)
+        mask[: len(points)] = 1
+    if episode.completion is not None:
+        samples, _, _ = sample_surface(episode.completion.mesh, config.num_points, rng)
+        completed[:] = np.clip(samples, -_REACH_M, _REACH_M)
+    depth = np.minimum(episode.image.depth_m, np.float32(_FARTHEST_M))
+    return {"observed": observed, "observed_mask": mask, "completed": completed, "depth": depth}

@@ -1,0 +1,239 @@
+"""MJCF and URDF of completed objects, and the mass, centre and inertia of solids and of shells that both state.
+
+MJCF is one file for MuJoCo's viewer to open, with floor, light, a free joint and explicit inertia. URDF is one link, a
+mesh to look at and a mesh for each convex part, in files beside it.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import trimesh
+
+from gfp_grasp.errors import InvalidMesh, InvalidOption
+from gfp_grasp.types import ConvexPart
+
+_DENSITIES = (0.1, 30_000.0)  # kg/m3: from the lightest aerogel to beyond osmium
+
+
+@dataclass(frozen=True, eq=False)
+class MassProperties:
+    """How a rigid body moves under forces, in the frame of its mesh.
+
+    Attributes:
+        mass_kg: Mass.
+        centre: (3,) m, centre of mass.
+        inertia: (3, 3) kg m2, about the centre of mass.
+    """
+
+    mass_kg: float
+    centre: np.ndarray
+    inertia: np.ndarray
+
+
+def mass_properties(
+    mesh: trimesh.Trimesh, *, density: float = 1000.0, shell_thickness_m: float | None = None
+) -> MassProperties:
+    """Mass, centre and inertia of a solid, or of a shell of even thickness.
+
+    Args:
+        mesh: Metres; watertight and outward unless it is a shell.
+        density: kg/m3, 0.1 to 30 000.
+        shell_thickness_m: Thickness of the shell, spread over the whole surface; None for a solid.
+
+    Raises:
+        InvalidOption: No material has this density, or the thickness is not a finite positive number.
+        InvalidMesh: A solid is asked for and the mesh encloses no volume.
+    """
+    if not _DENSITIES[0] <= density <= _DENSITIES[1]:
+        raise InvalidOption(f"density is {density!r}; kg/m3 are expected, 0.1 to 30000 (water has 1000)")
+    if shell_thickness_m is not None:
+        if not np.isfinite(shell_thickness_m) or shell_thickness_m <= 0:
+            raise InvalidOption(f"shell_thickness_m is {shell_thickness_m!r}; a finite positive number is expected")
+        return _shell_properties(np.asarray(mesh.triangles), density * shell_thickness_m)
+    if not mesh.is_volume:
+        raise InvalidMesh("mesh is not watertight and outward, so that it has no volume: give shell_thickness_m")
+    solid = mesh.copy()
+    solid.density = density
+    found = solid.mass_properties
+    return MassProperties(float(found.mass), np.array(found.center_mass), np.array(found.inertia))
+
+
+def _shell_properties(triangles: np.ndarray, density_kg_m2: float) -> MassProperties:
+    """Properties of triangles (f, 3, 3) m with a mass on their surface."""
+    # The midpoints of the edges, weighted alike, integrate quadratics over a triangle exactly.
+    across = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    mass = np.repeat(np.linalg.norm(across, axis=1) / 2 * density_kg_m2 / 3, 3)
+    points = ((triangles + np.roll(triangles, 1, axis=1)) / 2).reshape(-1, 3)
+    centre = mass @ points / mass.sum()
+    arms = points - centre
+    second = np.einsum("n,ni,nj->ij", mass, arms, arms)
+    return MassProperties(float(mass.sum()), centre, np.trace(second) * np.eye(3) - second)
+
+
+Part = ConvexPart | trimesh.Trimesh
+
+
+@dataclass(frozen=True, eq=False)
+class Body:
+    """What is written of one object.
+
+    Attributes:
+        name: Name of the body, and the start of its geoms' names.
+        mesh: What is looked at.
+        parts: Convex parts, what collides.
+        weight: Mass, centre and inertia.
+    """
+
+    name: str
+    mesh: trimesh.Trimesh
+    parts: Sequence[Part]
+    weight: MassProperties
+
+    @property
+    def shapes(self) -> tuple[Part, ...]:
+        """The mesh, then the parts."""
+        return (self.mesh, *self.parts)
+
+
+def write_meshes(body: Body, path: Path) -> list[str]:
+    """Write the mesh and each part into the folder `<stem>_meshes` beside a path; return their names relative to it."""
+    folder = path.parent / f"{path.stem}_meshes"
+    folder.mkdir(exist_ok=True)
+    names = []
+    stems = ["visual", *(f"hull_{i:03d}" for i in range(len(body.parts)))]
+    for stem, shape in zip(stems, body.shapes, strict=True):
+        solid = trimesh.Trimesh(np.array(shape.vertices), np.array(shape.faces), process=False)
+        with replacing(folder / f"{stem}.obj") as new:
+            solid.export(new, file_type="obj", include_normals=False, header=None)
+        names.append(f"{folder.name}/{stem}.obj")
+    for hull in folder.glob("hull_*.obj"):  # an earlier export may have had more of them
+        if re.fullmatch(r"hull_\d{3,}\.obj", hull.name) and f"{folder.name}/{hull.name}" not in names:
+            hull.unlink()
+    return names
+
+
+def write_xml(root: ElementTree.Element, path: Path) -> None:
+    """Write an indented tree; the file is replaced as a whole."""
+    ElementTree.indent(root)
+    with replacing(path) as new:
+        ElementTree.ElementTree(root).write(new, encoding="utf-8", xml_declaration=True)
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """A path to write to; its file takes the place of the one at `path` once it is complete."""
+    new = path.with_name(f".{path.name}.{os.getpid()}")
+    try:
+        yield new
+        new.replace(path)
+    finally:
+        new.unlink(missing_ok=True)
+
+
+def to_text(numbers: object) -> str:
+    """Numbers of any shape in a row, to nine digits."""
+    return " ".join(f"{number:.9g}" for number in np.asarray(numbers).ravel())
+
+
+_GRAVITY = 9.81  # MuJoCo's own
+
+
+def write_mjcf(body: Body, path: Path, *, up: np.ndarray, in_files: bool) -> None:
+    """Write a body that stands on a floor.
+
+    Args:
+        body: What is written.
+        path: The .xml file.
+        up: (3,) unit normal of the floor, against gravity.
+        in_files: Meshes go into files beside the path; else they are embedded.
+    """
+    root = ElementTree.Element("mujoco", model=body.name)
+    ElementTree.SubElement(root, "option", gravity=to_text(-_GRAVITY * up))
+    asset = ElementTree.SubElement(root, "asset")
+    world = ElementTree.SubElement(root, "worldbody")
+    _add_light_and_floor(world, body, up)
+    element = ElementTree.SubElement(world, "body", name=body.name)
+    ElementTree.SubElement(element, "freejoint", name=f"{body.name}_free")
+    inertia = body.weight.inertia
+    ElementTree.SubElement(
+        element,
+        "inertial",
+        pos=to_text(body.weight.centre),
+        mass=to_text([body.weight.mass_kg]),
+        fullinertia=to_text([inertia[i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]),
+    )
+    if in_files:
+        sources = [{"file": file} for file in write_meshes(body, path)]
+    else:
+        sources = [_embedded(shape) for shape in body.shapes]
+    _add_geoms(asset, element, body.name, sources)
+    write_xml(root, path)
+
+
+def _add_light_and_floor(world: ElementTree.Element, body: Body, up: np.ndarray) -> None:
+    middle = body.mesh.bounds.mean(axis=0)
+    size = float(np.ptp(body.mesh.bounds, axis=0).max())
+    above = middle + (5 * size + 1) * up
+    ElementTree.SubElement(world, "light", pos=to_text(above), dir=to_text(-up), type="directional")
+    # The floor touches the lowest of mesh and parts: what was fitted to noise must not start inside of it.
+    lowest = min(float((shape.vertices @ up).min()) for shape in body.shapes)
+    ElementTree.SubElement(
+        world,
+        "geom",
+        name="floor",
+        type="plane",
+        size="0 0 0.05",
+        pos=to_text(lowest * up),
+        zaxis=to_text(up),
+        rgba="0.8 0.8 0.82 1",
+    )
+
+
+def _add_geoms(
+    asset: ElementTree.Element, element: ElementTree.Element, name: str, sources: list[dict[str, str]]
+) -> None:
+    """The mesh, which is seen and collides with nothing, and the parts, which collide and are not seen."""
+    visual = f"{name}_visual"
+    # inertia="shell": MuJoCo would refuse to look at a mesh that is not closed.
+    ElementTree.SubElement(asset, "mesh", {"name": visual, **sources[0], "inertia": "shell"})
+    looks = {"contype": "0", "conaffinity": "0", "group": "2", "rgba": "0.55 0.65 0.8 1"}
+    ElementTree.SubElement(element, "geom", {"name": visual, "type": "mesh", "mesh": visual, "mass": "0", **looks})
+    for index, source in enumerate(sources[1:]):
+        hull = f"{name}_hull_{index:03d}"
+        ElementTree.SubElement(asset, "mesh", {"name": hull, **source})
+        ElementTree.SubElement(element, "geom", name=hull, type="mesh", mesh=hull, group="3", mass="0")
+
+
+def _embedded(shape: Part) -> dict[str, str]:
+    return {"vertex": to_text(shape.vertices), "face": to_text(shape.faces)}
+
+
+def write_urdf(body: Body, path: Path) -> None:
+    """Write a robot of one link. URDF knows neither gravity nor embedded meshes."""
+    names = write_meshes(body, path)
+    root = ElementTree.Element("robot", name=body.name)
+    # MuJoCo's reader else looks for the files without their folder and drops the visual; other readers ignore this.
+    extension = ElementTree.SubElement(root, "mujoco")
+    ElementTree.SubElement(extension, "compiler", strippath="false", discardvisual="false")
+    link = ElementTree.SubElement(root, "link", name=body.name)
+    inertial = ElementTree.SubElement(link, "inertial")
+    ElementTree.SubElement(inertial, "origin", xyz=to_text(body.weight.centre), rpy="0 0 0")
+    ElementTree.SubElement(inertial, "mass", value=to_text([body.weight.mass_kg]))
+    inertia = body.weight.inertia
+    entries = {f"i{'xyz'[i]}{'xyz'[j]}": to_text([inertia[i, j]]) for i in range(3) for j in range(i, 3)}
+    ElementTree.SubElement(inertial, "inertia", entries)
+    for file in names:
+        stem = Path(file).stem
+        element = ElementTree.SubElement(link, "visual" if stem == "visual" else "collision", name=stem)
+        ElementTree.SubElement(element, "origin", xyz="0 0 0", rpy="0 0 0")
+        geometry = ElementTree.SubElement(element, "geometry")
+        ElementTree.SubElement(geometry, "mesh", filename=file)
+    write_xml(root, path)
