@@ -1,0 +1,182 @@
+"""The committed results follow from their own rows, and were made with the settings of today."""
+
+import json
+from dataclasses import asdict, replace
+from inspect import signature
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from gfp_grasp import bench
+from gfp_grasp.bench import collision, hollow, hostile, registration, rows
+from gfp_grasp.bench.ablation import ITERATIONS, WIDTHS, AblationConfig
+from gfp_grasp.bench.collision import PartsRow
+from gfp_grasp.bench.completion import CompletionConfig
+from gfp_grasp.bench.hollow import HollowRow
+from gfp_grasp.bench.hostile import HostileConfig, HostileRow
+from gfp_grasp.bench.methods import FORMER_NAMES
+from gfp_grasp.bench.registration import FitRow, RegistrationConfig
+from gfp_grasp.bench.rows import CompletionRow
+from gfp_grasp.envs import TrialSettings
+from gfp_grasp.score import Report, ScoreConfig, ScoreRow
+from gfp_grasp.train import CACHE, ViewsConfig
+
+RESULTS = Path(__file__).parents[1] / "results"
+
+
+def committed(name: str) -> dict[str, Any]:
+    return json.loads((RESULTS / f"{name}.json").read_text(encoding="utf-8"))
+
+
+def of_today(name: str) -> str:
+    return FORMER_NAMES.get(name, name)
+
+
+def json_of(value: Any) -> Any:
+    return json.loads(json.dumps(value))
+
+
+def without_gaps(record: dict[str, Any]) -> dict[str, Any]:
+    """A row as it is written today: figures that do not apply are left out."""
+    return {name: value for name, value in record.items() if value is not None}
+
+
+@pytest.mark.parametrize("name", ["collision_test", "collision_real", "collision_mug"])
+def test_figures_of_parts_follow_from_their_rows(name: str):
+    report = committed(name)
+    found = [PartsRow(**row) for row in report["trials"]]
+    assert [json_of(row.to_json()) for row in found] == [without_gaps(row) for row in report["trials"]]
+    methods = report["settings"]["methods"]
+    for mesh, figures in report["rows"].items():
+        assert collision._by_class([row for row in found if row.mesh == mesh], methods) == figures
+    assert collision._ratios(found) == report["ratio"]
+
+
+@pytest.mark.parametrize("name", ["hollow_test", "hollow_real"])
+def test_figures_of_hollow_things_follow_from_their_rows(name: str):
+    report = committed(name)
+    found = [HollowRow(**row) for row in report["trials"]]
+    assert [json_of(row.to_json()) for row in found] == [without_gaps(row) for row in report["trials"]]
+    for category, figures in report["rows"].items():
+        assert hollow._figures([row for row in found if row.category == category]) == figures
+
+
+def test_figures_of_hostile_meshes_follow_from_their_rows():
+    report = committed("hostile")
+    done = {(row["step"], row["number"]): HostileRow(**row) for row in reversed(report["trials"])}
+    assert hostile._report(HostileConfig(), done) == report
+
+
+def test_figures_of_registrations_follow_from_their_rows():
+    report = committed("registration")
+    found = [FitRow(**row) for row in report["trials"]]
+    assert [row.to_json() for row in found] == report["trials"]
+    for family, figures in report["rows"].items():
+        for start, of_start in figures.items():
+            mine = [row for row in found if family in ("all", row.family) and row.start == start]
+            assert registration._summarise(mine) == of_start
+    assert report["settings"] == {
+        **asdict(RegistrationConfig(views=2, limit=30)),
+        "view": json_of(asdict(ViewsConfig())),
+    }
+
+
+@pytest.mark.parametrize("name", [path.stem for path in sorted(RESULTS.glob("completion_*.json"))])
+def test_figures_of_completions_follow_from_their_rows(name: str):
+    report = committed(name)
+    found = [CompletionRow(**{**row, "method": of_today(row["method"])}) for row in report["trials"]]
+    for category, figures in report["rows"].items():
+        mine = [row for row in found if category in ("all", row.category)]
+        for method, of_method in figures.items():
+            assert rows.summarise([row for row in mine if row.method == of_today(method)]) == of_method
+        for method, gain in report["paired"][category].items():
+            assert rows.paired_gain(mine, method, "registration") == gain
+    table = {c: {of_today(m): f for m, f in figures.items()} for c, figures in report["rows"].items()}
+    assert rows.table_one(table) == report["paper_table_one"]
+
+
+@pytest.mark.parametrize("name", [path.stem for path in sorted(RESULTS.glob("score_*.json"))])
+def test_figures_of_scores_follow_from_their_rows(name: str):
+    report = committed(name)
+    again = Report(report["settings"], tuple(ScoreRow(**row) for row in report["trials"]))
+    assert json.loads(again.to_json()) == report
+
+
+def test_the_ablation_was_made_with_the_defaults_and_has_every_row():
+    report = committed("ablation")
+    assert report["settings"] == {**asdict(AblationConfig()), "iterations": list(ITERATIONS)}
+    assert list(report["rows"]) == [*(f"{layers} layers" for layers in WIDTHS), "3 layers, 0.01 m noise"]
+    assert all(len(row["cd_mm"]) == len(ITERATIONS) == 7 for row in report["rows"].values())
+
+
+@pytest.mark.parametrize("protocol", ["standard", "fallen", "hidden", "noisy"])
+def test_real_objects_were_completed_with_the_defaults_but_for_the_protocol(protocol: str):
+    settings = committed("completion_real" + f"_{protocol}" * (protocol != "standard"))["settings"]
+    of_config = asdict(replace(CompletionConfig(), protocol=protocol))
+    assert of_config.pop("gps") == ""
+    assert settings == {"objects": settings["objects"], "samples": 8192, **of_config}
+
+
+def test_scores_were_made_with_the_defaults_but_for_the_views():
+    settings = committed("score_test")["settings"]
+    config = ScoreConfig(views=settings["views"])
+    for name in ("grasps", "seed", "split", "clutter"):
+        assert settings[name] == getattr(config, name)
+    assert settings["classes"] == sorted(config.wanted())
+    assert settings["trial"] == asdict(TrialSettings())
+    assert (ScoreConfig().views, ScoreConfig().limit, ScoreConfig().detector) == (4, None, "tabletop")
+
+
+def test_a_bench_without_options_is_the_one_that_its_result_was_made_with():
+    resets, trial, stability = committed("resets"), committed("trial"), committed("stability")
+    assert defaults("bench_resets") == {
+        "objects": "all",
+        "progress": None,
+        **{name: resets["settings"][name] for name in ("resets", "completer", "limit", "seed")},
+    }
+    assert defaults("bench_trial") == {
+        "objects": "all",
+        "limit": trial["settings"]["num_objects"],
+        **{name: trial["settings"][name] for name in ("grasps", "completer", "seed")},
+        **QUIET,
+    }
+    assert defaults("bench_stability") == {
+        "objects": "all",
+        "motions": stability["motions"],
+        "limit": stability["objects"],
+        "seed": 0,
+        **QUIET,
+    }
+    assert defaults("bench_hollow") == {
+        "objects": "all",
+        "limit": committed("hollow_test")["rows"]["cup"]["objects"],
+        "seed": 0,
+        **QUIET,
+    }
+
+
+def test_the_other_benches_are_short_without_options():
+    every = {"objects": "all", "seed": 0, **QUIET}
+    assert defaults("bench_collision") == every | {"methods": collision.METHODS, "limit": 4, "truth": False}
+    assert defaults("bench_speed") == {"objects": "all", "limit": 30, "calls": 0, "seed": 0, "progress": None}
+    assert defaults("bench_detection") == {"cache": CACHE, "num_views": 4, "workers": 1}
+    assert defaults("bench_registration") == {
+        "starts": ("box", "pcrnet"),
+        "config": RegistrationConfig(views=4, limit=None, seed=0, mean_size=False),
+        **QUIET,
+    }
+    assert defaults("bench_ablation") == {
+        "config": AblationConfig(),
+        "runs": Path("runs"),
+        "workers": 1,
+        "report": None,
+    }
+
+
+QUIET = {"workers": 1, "progress": None}
+
+
+def defaults(name: str) -> dict[str, Any]:
+    parameters = signature(getattr(bench, name)).parameters.values()
+    return {p.name: p.default for p in parameters if p.default is not p.empty}
