@@ -13,7 +13,7 @@ INSTALLED_DEV := $(VENV)/.installed-dev
 # One thread of linear algebra in each test process: more of them fight over the cores.
 ONE_THREAD := OMP_NUM_THREADS=1 OPENBLAS_NUM_THREADS=1 MKL_NUM_THREADS=1
 
-.PHONY: help demo test test-fast lint types docs wheel-check mutants quickstart clean
+.PHONY: help demo test test-fast lint types docs commands wheel-check mutants quickstart clean
 
 help:
 	@echo "make demo         run the demonstration into $(OUT)/ (open $(OUT)/index.html)"
@@ -22,6 +22,7 @@ help:
 	@echo "make lint         ruff: rules and formatting"
 	@echo "make types        pyright"
 	@echo "make docs         build the site into $(OUT)/docs; a broken link fails"
+	@echo "make commands     write docs/command_line.md anew, from the program"
 	@echo "make wheel-check  build wheel and sdist, compare with git, run the demo from the wheel in an empty folder"
 	@echo "make mutants      try COUNT small changes of the code and count what the tests notice (ROOMS=\"camera detect\" SEED=1)"
 	@echo "make quickstart   render again the capture that ships for the quick start"
@@ -44,6 +45,9 @@ types: $(INSTALLED_DEV)
 
 docs: $(INSTALLED_DEV)
 	$(PY) -m sphinx -W --keep-going -q -b html docs $(OUT)/docs
+
+commands: $(INSTALLED)
+	$(PY) docs/command_line.py > docs/command_line.md
 
 wheel-check: $(INSTALLED_DEV)
 	$(PY) tests/wheel_check.py

@@ -11,6 +11,7 @@ from gfp_grasp.cli.terminal import (
     Gps,
     JsonFile,
     Limit,
+    Most,
     Objects,
     Ray,
     Seed,
@@ -151,7 +152,7 @@ def ablation(
 @bench.command()
 def speed(
     objects: Objects = "all",
-    limit: Limit = 30,
+    limit: Most = 30,
     calls: Annotated[int, typer.Option(min=0, help="Completions that memory is watched over.")] = 0,
     json_file: JsonFile = None,
     seed: Seed = 0,
@@ -159,7 +160,7 @@ def speed(
     """Milliseconds by stage, registrations beside each other, and memory over many calls."""
     from gfp_grasp.bench import bench_speed
 
-    report = bench_speed(objects, limit=limit or 30, calls=calls, seed=seed, progress=track("clouds"))
+    report = bench_speed(objects, limit=limit, calls=calls, seed=seed, progress=track("clouds"))
     out.print_json(json.dumps(report))
     save_json(json_file, report)
 
@@ -168,7 +169,7 @@ def speed(
 def stability(
     objects: Objects = "all",
     motions: Annotated[int, typer.Option(min=1, help="Rigid motions about up, in all.")] = 200,
-    limit: Limit = 20,
+    limit: Most = 20,
     workers: Workers = 1,
     json_file: JsonFile = None,
     seed: Seed = 0,
@@ -177,7 +178,7 @@ def stability(
     from gfp_grasp.bench import bench_stability
 
     report = bench_stability(
-        objects, motions=motions, limit=limit or 20, seed=seed, workers=workers, progress=track("objects")
+        objects, motions=motions, limit=limit, seed=seed, workers=workers, progress=track("objects")
     )
     out.print_json(json.dumps(report))
     save_json(json_file, report)

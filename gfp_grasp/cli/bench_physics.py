@@ -9,7 +9,7 @@ import typer
 from gfp_grasp.cli.bench import bench
 from gfp_grasp.cli.terminal import (
     JsonFile,
-    Limit,
+    Most,
     Objects,
     Seed,
     Workers,
@@ -25,7 +25,7 @@ from gfp_grasp.cli.terminal import (
 def collision(
     objects: Objects = "all",
     methods: Annotated[str, typer.Option(help="Names with commas between; or all.")] = "all",
-    limit: Limit = 4,
+    limit: Most = 4,
     truth: Annotated[bool, typer.Option("--truth", help="Decompose the true meshes as well.")] = False,
     workers: Workers = 1,
     json_file: JsonFile = None,
@@ -52,7 +52,7 @@ def collision(
 @bench.command()
 def hollow(
     objects: Objects = "all",
-    limit: Limit = 20,
+    limit: Most = 20,
     workers: Workers = 1,
     json_file: JsonFile = None,
     seed: Seed = 0,
@@ -68,7 +68,7 @@ def hollow(
 @bench.command()
 def trial(
     objects: Objects = "all",
-    limit: Limit = 24,
+    limit: Most = 24,
     grasps: Annotated[int, typer.Option(min=1, help="Attempts on each object.")] = 4,
     completer: Annotated[str, typer.Option(help="Completes in the whole episodes that are timed.")] = "gfpnet",
     workers: Workers = 1,
@@ -80,7 +80,7 @@ def trial(
 
     report = bench_trial(
         objects,
-        limit=limit or 24,
+        limit=limit,
         grasps=grasps,
         completer=completer,
         seed=seed,
@@ -96,16 +96,14 @@ def resets(
     objects: Objects = "all",
     count: Annotated[int, typer.Option("--resets", min=10, help="Of one environment.")] = 10_000,
     completer: Annotated[str, typer.Option(help="Name; a cheap one measures the environment.")] = "mirror",
-    limit: Limit = 20,
+    limit: Most = 20,
     json_file: JsonFile = None,
     seed: Seed = 0,
 ) -> None:
     """Memory of the environment over many resets."""
     from gfp_grasp.bench import bench_resets
 
-    report = bench_resets(
-        objects, resets=count, completer=completer, limit=limit or 20, seed=seed, progress=track("resets")
-    )
+    report = bench_resets(objects, resets=count, completer=completer, limit=limit, seed=seed, progress=track("resets"))
     out.print_json(json.dumps(report))
     save_json(json_file, report)
 

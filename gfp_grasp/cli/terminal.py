@@ -35,6 +35,7 @@ Seed = Annotated[int, typer.Option(min=0, help="Seed of every random choice; the
 Workers = Annotated[int, typer.Option(min=0, help="Number of processes; 0 is one a core.")]
 Ray = Annotated[str | None, typer.Option(help="Run on a Ray cluster: auto (this machine's), or host:port of its head.")]
 Limit = Annotated[int | None, typer.Option(min=1, help="Most objects (of each family).")]
+Most = Annotated[int, typer.Option("--limit", min=1, help="Most objects (of each family).")]
 Split = Annotated[str, typer.Option(help="Split of the procedural families: train, val or test.")]
 Objects = Annotated[str, typer.Option(help="Procedural families with commas between or all, a mesh file, or a folder.")]
 Files = Annotated[bool, typer.Option("--files", help="Write the meshes of .xml to files beside it, not into itself.")]
