@@ -1,0 +1,210 @@
+"""`gfp-grasp gps` and `gfp-grasp train`: every option arrives, and what was made is told."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+import torch
+from recorded_calls import recorded, rows_of, run
+
+from gfp_grasp.primitives import BuildConfig, PrimitiveLibrary
+from gfp_grasp.train import GFPNET_CONFIGS, PCRNET_CONFIG, ClassifierConfig
+
+MADE = SimpleNamespace(vertices=[0] * 5, modes=[0] * 2, parts=[0] * 3, part_errors_m=((1, 1), (0.00123, 0.0046)))
+
+
+@pytest.fixture(autouse=True)
+def named_bars(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Names of the progress bars that were made; each is known by its name."""
+    made: list[str] = []
+
+    class Bar(str):
+        def __call__(self, names: list[str], total: int) -> list[str]:
+            made.append(f"{self}: {total}")
+            return names
+
+    monkeypatch.setattr("gfp_grasp.cli.training.track", Bar)
+    return made
+
+
+def test_list_has_sizes_in_millimetres_and_counts(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("gps list") == 0
+    rows = {row.split()[0]: row for row in rows_of(capsys.readouterr().out)}
+    library = PrimitiveLibrary.shipped()
+    assert tuple(rows) == library.names
+    mug = library.primitive("mug")
+    x, y, z = 1000 * (mug.vertices.max(axis=0) - mug.vertices.min(axis=0))
+    counts = [str(len(mug.vertices)), str(len(mug.modes)), str(len(mug.parts))]
+    cells = [cell.strip() for cell in rows["mug"].split("│")]
+    assert cells == ["mug", f"{x:.0f} x {y:.0f} x {z:.0f}", *counts, mug.licence]
+    assert rows["mug"].startswith("mug  ")
+
+
+def test_show_prints_the_card(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("gps show mug") == 0
+    assert json.loads(capsys.readouterr().out)["category"] == "mug"
+
+
+@pytest.mark.parametrize("words", ["gps list", "gps show mug"])
+def test_classes_of_a_user_are_listed_and_shown(words: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    library = PrimitiveLibrary.shipped()
+    asked = recorded(monkeypatch, "gfp_grasp.primitives.PrimitiveLibrary.with_shipped", library)
+    assert run(f"{words} --gps {tmp_path} --gps other") == 0
+    assert asked.only == ((tmp_path, Path("other")), {})
+
+
+def test_build_from_meshes_hands_on_every_option(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    build = recorded(monkeypatch, "gfp_grasp.train.build_from_folder", MADE)
+    save = recorded(monkeypatch, "gfp_grasp.primitives.save_primitive", "own.json")
+    (tmp_path / "spec.json").write_text('{"alike": ["cup"]}')
+    words = "gps build own --meshes meshes --out cards --orientation upright --licence CC0 --seed 6 --spec"
+    assert run(words, tmp_path / "spec.json") == 0
+    config = BuildConfig(orientation="upright", licence="CC0")
+    received = {"seed": 6, "config": config, "spec": {"alike": ["cup"]}, "progress": "primitive of own"}
+    assert build.only == ((Path("meshes"), "own"), received)
+    assert save.only == ((MADE, Path("cards")), {})
+    assert capsys.readouterr().out == "own.json: 5 vertices, 2 modes\n"
+
+
+def test_build_without_meshes_takes_procedural_shapes(monkeypatch: pytest.MonkeyPatch) -> None:
+    build = recorded(monkeypatch, "gfp_grasp.train.build_from_shapes", MADE)
+    save = recorded(monkeypatch, "gfp_grasp.primitives.save_primitive")
+    assert run("gps build mug --limit 7 --seed 6") == 0
+    assert run("gps build mug") == 0
+    told = {"spec": {}, "progress": "primitive of mug"}
+    assert build.calls == [
+        (("mug",), {"members": 7, "seed": 6, **told}),
+        (("mug",), {"members": 120, "seed": 0, **told}),
+    ]
+    assert save.calls[0] == ((MADE, Path("gps")), {})
+
+
+@pytest.mark.parametrize(
+    ("content", "words"), [("{", "not JSON"), ("[1]", "holds a list"), (b"\xff\xfe\xff", "not JSON")]
+)
+def test_a_broken_spec_is_refused_before_anything_is_built(
+    content: str | bytes, words: str, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    file = tmp_path / "spec.json"
+    file.write_bytes(content if isinstance(content, bytes) else content.encode())
+    assert run("gps build mug --spec", file) == 2
+    assert words in capsys.readouterr().err
+    assert run("gps build mug --spec", tmp_path / "nowhere.json") == 2
+    assert run("gps build mug --spec", tmp_path) == 2
+
+
+def test_parts_are_made_of_the_named_or_of_all_and_their_errors_are_in_millimetres(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], named_bars: list[str]
+) -> None:
+    make = recorded(monkeypatch, "gfp_grasp.primitives.with_parts", MADE)
+    save = recorded(monkeypatch, "gfp_grasp.primitives.save_primitive")
+    assert run("gps parts mug cup --out cards") == 0
+    assert [call[0][0].name for call in make.calls] == ["mug", "cup"]
+    assert save.calls == [((MADE, Path("cards")), {})] * 2
+    assert rows_of(capsys.readouterr().out)[0] == "mug   │     3 │               1.23 │         4.60"
+    make.calls.clear()
+    assert run("gps parts") == 0
+    assert tuple(call[0][0].name for call in make.calls) == PrimitiveLibrary.shipped().names
+    assert save.calls[-1] == ((MADE, Path("gps")), {})
+    assert named_bars == ["convex parts: 2", f"convex parts: {len(make.calls)}"]
+
+
+@pytest.mark.parametrize("shapes", [True, False])
+def test_prototypes_hand_on_every_option(
+    shapes: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], named_bars: list[str]
+) -> None:
+    folder = PrimitiveLibrary.shipped().folders[0]
+    make = recorded(monkeypatch, "gfp_grasp.train.with_prototypes", MADE)
+    save = recorded(monkeypatch, "gfp_grasp.primitives.save_primitive")
+    members = recorded(monkeypatch, "gfp_grasp.train.procedural_members", ["mesh"])
+    flag = ("--shapes",) if shapes else ()
+    assert run("gps prototypes mug --seed 6 --gps", folder, *flag) == 0
+    (primitive,), named = make.only
+    assert primitive.name == "mug"
+    assert named == {"meshes": ["mesh"] if shapes else None, "seed": 6}
+    assert members.calls == ([(("mug",), {})] if shapes else [])
+    assert save.only == ((MADE, folder), {})
+    assert "prototypes of mug" in capsys.readouterr().out
+    assert named_bars == ["prototypes: 1"]
+
+
+TRAINED = "--classes cup,,mug --data meshes --steps 7 --limit 6 --device cuda --runs elsewhere --seed 5"
+
+
+@pytest.fixture
+def bars(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, int]]:
+    """Name and length of the bars that were shown."""
+    shown: list[tuple[str, int]] = []
+
+    class Bar:
+        def __init__(self, name: str, steps: int) -> None:
+            shown.append((name, steps))
+
+        def __enter__(self) -> str:
+            return "report"
+
+        def __exit__(self, *_: object) -> None:
+            pass
+
+    monkeypatch.setattr("gfp_grasp.cli.training._bar", Bar)
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    return shown
+
+
+def test_training_of_the_classifier_hands_on_every_option(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], bars: list[tuple[str, int]]
+) -> None:
+    train = recorded(monkeypatch, "gfp_grasp.train.train_classifier", "metrics")
+    assert run(f"train classifier --out weights --workers 3 {TRAINED}") == 0
+    assert run("train classifier") == 0
+    ((config,), named), ((default,), defaults) = train.calls
+    assert config == ClassifierConfig(seed=5, device="cuda", limit=6, steps=7)
+    received = {"classes": ("cup", "mug"), "data": Path("meshes"), "out": Path("weights"), "workers": 3}
+    assert named == {**received, "cache": Path("elsewhere/classifier"), "report": "report"}
+    assert default == ClassifierConfig()
+    received = {"classes": None, "data": None, "out": Path("gfp_grasp/weights"), "workers": 1}
+    assert defaults == {**received, "cache": Path("runs/classifier"), "report": "report"}
+    assert bars == [("classifier", 7), ("classifier", ClassifierConfig().steps)]
+    assert capsys.readouterr().out == "metrics\nmetrics\n"
+
+
+RECEIVED = {
+    **{"classes": ("cup", "mug"), "num_views": 3, "limit": 6, "data": Path("meshes"), "out": Path("own.safetensors")},
+    **{"runs": Path("elsewhere"), "report": "report"},
+}
+DEFAULTS = {
+    **{"classes": None, "num_views": 4, "limit": None, "data": None, "out": None, "runs": Path("runs")},
+    "report": "report",
+}
+
+
+def test_training_of_the_registration_network_hands_on_every_option(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], bars: list[tuple[str, int]]
+) -> None:
+    train = recorded(monkeypatch, "gfp_grasp.train.train_pcrnet", Path("card.json"))
+    assert run(f"train pcrnet --file own.safetensors --views 3 {TRAINED}") == 0
+    assert run("train pcrnet") == 0
+    config = replace(PCRNET_CONFIG, seed=5, device="cuda", steps=7)
+    assert train.calls == [((), {**RECEIVED, "config": config}), ((), {**DEFAULTS, "config": PCRNET_CONFIG})]
+    assert bars == [("pcrnet", 7), ("pcrnet", PCRNET_CONFIG.steps)]
+    assert capsys.readouterr().out == "card.json\ncard.json\n"
+
+
+def test_training_of_the_deformation_network_hands_on_every_option(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], bars: list[tuple[str, int]]
+) -> None:
+    train = recorded(monkeypatch, "gfp_grasp.train.train_gfpnet", Path("card.json"))
+    assert run(f"train gfpnet --variant paper-oneshot --file own.safetensors --views 3 --workers 2 {TRAINED}") == 0
+    assert run("train gfpnet") == 0
+    config = replace(GFPNET_CONFIGS["paper-oneshot"], seed=5, device="cuda", steps=7)
+    default = GFPNET_CONFIGS["patch"]
+    assert train.calls == [
+        (("paper-oneshot",), {**RECEIVED, "config": config, "workers": 2}),
+        (("patch",), {**DEFAULTS, "config": default, "workers": 1}),
+    ]
+    assert bars == [("gfpnet paper-oneshot", 7), ("gfpnet patch", default.steps)]
+    assert capsys.readouterr().out == "card.json\ncard.json\n"
