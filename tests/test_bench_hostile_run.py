@@ -276,7 +276,7 @@ def test_what_is_wrong_with_parts_is_named():
 
 @pytest.mark.parametrize(("out", "convex"), [(0.5e-6, True), (2e-6, False)])
 def test_a_corner_may_stand_out_of_a_face_by_a_millionth_of_the_size(out, convex):
-    """A pyramid of height 1 on a square with one corner a little lower: one diagonal of the base is a ridge, one not."""
+    """A pyramid of height 1 on a square with one corner lower: one diagonal of the base is a ridge, one is not."""
     vertices = np.array([[0, 0, 0], [1, 0, 0], [1, 1, -out], [0, 1, 0], [0.5, 0.5, 1]], dtype=float)
     faces = np.array([[0, 3, 1], [1, 3, 2], [0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]])
     flipped = np.array([[0, 2, 1], [0, 3, 2], *faces[2:]])
