@@ -19,7 +19,8 @@ def moments(values: ArrayLike) -> list[float]:
     """Length, mean, root mean square and two sums with uneven weights: another order gives other numbers."""
     flat = np.asarray(values, dtype=np.float64).ravel()
     uneven = np.cos(1.7 * np.arange(len(flat)) ** 0.7)
-    return [len(flat), flat.mean(), np.sqrt((flat**2).mean()), uneven @ flat, uneven[::-1] @ flat]
+    sums = len(flat), flat.mean(), np.sqrt((flat**2).mean()), uneven @ flat, uneven[::-1] @ flat
+    return [float(value) for value in sums]
 
 
 def assert_known(name: str, values: ArrayLike, *, rel: float = 1e-5) -> None:
