@@ -125,7 +125,7 @@ def test_demo_hands_on_every_option(monkeypatch: pytest.MonkeyPatch, tmp_path: P
 class FakeViewer:
     """Tells what was done with it; waiting for it is interrupted."""
 
-    url = "http://127.0.0.1:1"
+    url = "http://[a]:1"
 
     def __init__(self) -> None:
         self.done: list[str] = []
@@ -153,7 +153,7 @@ def test_view_of_a_capture_hands_on_every_option_and_ends_without_an_error(
     assert view.only == ((Path("own.npz"),), received)
     assert viewer.done == ["waited", "stopped"]
     assert browser.only == ((viewer.url,), {})
-    assert "http://127.0.0.1:1 shows it" in capsys.readouterr().out
+    assert "http://[a]:1 shows it" in capsys.readouterr().out
 
 
 def test_view_shows_the_sample_and_opens_no_browser_where_nothing_is_said(monkeypatch: pytest.MonkeyPatch) -> None:

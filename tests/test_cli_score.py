@@ -33,7 +33,7 @@ def test_score_hands_on_every_option_and_prints_its_table(
     score: Recorder, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     picture = recorded(monkeypatch, "gfp_grasp.score.write_picture")
-    page = recorded(monkeypatch, "gfp_grasp.score.write_score_page", tmp_path / "page" / "index.html")
+    page = recorded(monkeypatch, "gfp_grasp.score.write_score_page", tmp_path / "[b]" / "index.html")
     (tmp_path / "rows.part.jsonl").write_text("")
     words = "score --objects cup --views 2 --grasps 3 --split val --clutter 1 --limit 6 --classes cup,mug"
     more = "--detector own:find --workers 4 --ray auto --seed 9"
@@ -60,7 +60,7 @@ def test_score_hands_on_every_option_and_prints_its_table(
     assert page.only == ((REPORT, tmp_path / "page"), told)
     printed = capsys.readouterr().out
     assert rows_of(printed) == ["own       │  3/4", "oracle    │  4/4"]
-    assert f"open {tmp_path / 'page' / 'index.html'}" in printed
+    assert f"open {tmp_path / '[b]' / 'index.html'}" in printed
 
 
 def test_score_takes_all_completers_and_writes_nothing_where_nothing_is_said(

@@ -3,6 +3,8 @@
 import json
 import os
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from recorded_calls import recorded, run
@@ -51,6 +53,18 @@ def test_stages_are_named_beside_a_limit_that_runs(capsys: pytest.CaptureFixture
     told = capsys.readouterr().err
     assert "cutting" in told
     assert "0 of 90.5 s" in told
+
+
+@pytest.mark.parametrize(
+    ("elapsed_s", "completed_s", "words"),
+    [(None, 0.0, "0 of 90.5 s"), (12.4, 12.4, "12 of 90.5 s"), (200.0, 90.5, "200 of 90.5 s")],
+)
+def test_the_bar_of_stages_fills_with_time_up_to_the_limit(
+    elapsed_s: float | None, completed_s: float, words: str
+) -> None:
+    columns: Any = terminal._TimeBar().render(SimpleNamespace(elapsed=elapsed_s, total=90.5))  # type: ignore[arg-type]
+    bar, text = columns.renderables
+    assert (bar.total, bar.completed, bar.width, text.plain) == (90.5, completed_s, 40, words)
 
 
 @pytest.mark.parametrize("words", ["1,2", "1,2,3,4", "a,b,c", ""])

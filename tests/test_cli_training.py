@@ -59,7 +59,7 @@ def test_build_from_meshes_hands_on_every_option(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     build = recorded(monkeypatch, "gfp_grasp.train.build_from_folder", MADE)
-    save = recorded(monkeypatch, "gfp_grasp.primitives.save_primitive", "own.json")
+    save = recorded(monkeypatch, "gfp_grasp.primitives.save_primitive", "[b]own.json")
     (tmp_path / "spec.json").write_text('{"alike": ["cup"]}')
     words = "gps build own --meshes meshes --out cards --orientation upright --licence CC0 --seed 6 --spec"
     assert run(words, tmp_path / "spec.json") == 0
@@ -67,7 +67,7 @@ def test_build_from_meshes_hands_on_every_option(
     received = {"seed": 6, "config": config, "spec": {"alike": ["cup"]}, "progress": "primitive of own"}
     assert build.only == ((Path("meshes"), "own"), received)
     assert save.only == ((MADE, Path("cards")), {})
-    assert capsys.readouterr().out == "own.json: 5 vertices, 2 modes\n"
+    assert capsys.readouterr().out == "[b]own.json: 5 vertices, 2 modes\n"
 
 
 def test_build_without_meshes_takes_procedural_shapes(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -185,19 +185,19 @@ DEFAULTS = {
 def test_training_of_the_registration_network_hands_on_every_option(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], bars: list[tuple[str, int]]
 ) -> None:
-    train = recorded(monkeypatch, "gfp_grasp.train.train_pcrnet", Path("card.json"))
+    train = recorded(monkeypatch, "gfp_grasp.train.train_pcrnet", Path("[b]card.json"))
     assert run(f"train pcrnet --file own.safetensors --views 3 {TRAINED}") == 0
     assert run("train pcrnet") == 0
     config = replace(PCRNET_CONFIG, seed=5, device="cuda", steps=7)
     assert train.calls == [((), {**RECEIVED, "config": config}), ((), {**DEFAULTS, "config": PCRNET_CONFIG})]
     assert bars == [("pcrnet", 7), ("pcrnet", PCRNET_CONFIG.steps)]
-    assert capsys.readouterr().out == "card.json\ncard.json\n"
+    assert capsys.readouterr().out == "[b]card.json\n[b]card.json\n"
 
 
 def test_training_of_the_deformation_network_hands_on_every_option(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], bars: list[tuple[str, int]]
 ) -> None:
-    train = recorded(monkeypatch, "gfp_grasp.train.train_gfpnet", Path("card.json"))
+    train = recorded(monkeypatch, "gfp_grasp.train.train_gfpnet", Path("[b]card.json"))
     assert run(f"train gfpnet --variant paper-oneshot --file own.safetensors --views 3 --workers 2 {TRAINED}") == 0
     assert run("train gfpnet") == 0
     config = replace(GFPNET_CONFIGS["paper-oneshot"], seed=5, device="cuda", steps=7)
@@ -207,4 +207,4 @@ def test_training_of_the_deformation_network_hands_on_every_option(
         (("patch",), {**DEFAULTS, "config": default, "workers": 1}),
     ]
     assert bars == [("gfpnet paper-oneshot", 7), ("gfpnet patch", default.steps)]
-    assert capsys.readouterr().out == "card.json\ncard.json\n"
+    assert capsys.readouterr().out == "[b]card.json\n[b]card.json\n"

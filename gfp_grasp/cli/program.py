@@ -53,9 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     except KeyboardInterrupt:
         code = _STOPPED
     except _MistakeInWords as error:
-        if type(error).__name__ == "NoArgsIsHelpError":
-            app(args=[*words, "--help"], prog_name="gfp-grasp", standalone_mode=False)
-        else:
+        if type(error).__name__ != "NoArgsIsHelpError":  # which has printed the help when it was made
             say_error(f"{error.format_message()} Try --help.")
         raise SystemExit(2) from None
     if code == _STOPPED:

@@ -75,7 +75,7 @@ def score(
     report = run(objects, names, config=config, workers=workers, ray=ray, journal=journal, progress=track("rows"))
     rows = report.table()
     headings = tuple(rows[0])
-    table(headings, [tuple(row.values()) for row in rows], words=1)
+    table(headings, [tuple(row.values()) for row in rows])
     if json_file is not None and journal is not None:
         report.write(json_file)
         journal.unlink(missing_ok=True)

@@ -27,7 +27,7 @@ def list_all(folders: Gps = None) -> None:
         size = " x ".join(f"{extent:.0f}" for extent in extents_mm)
         counts = (len(primitive.vertices), len(primitive.modes), len(primitive.parts))
         rows.append((primitive.name, size, *map(str, counts), primitive.licence))
-    table(("class", "mean, mm", "vertices", "modes", "parts", "licence"), rows, words=1)
+    table(("class", "mean, mm", "vertices", "modes", "parts", "licence"), rows)
 
 
 @gps.command()
@@ -98,7 +98,7 @@ def parts(
         save_primitive(primitive, folder)
         mean_m, high_m = primitive.part_errors_m[-1]
         rows.append((name, str(len(primitive.parts)), f"{1000 * mean_m:.2f}", f"{1000 * high_m:.2f}"))
-    table(("class", "parts", "off on average, mm", "for 95 %, mm"), rows, words=1)
+    table(("class", "parts", "off on average, mm", "for 95 %, mm"), rows)
 
 
 @gps.command()

@@ -117,11 +117,10 @@ def _shaded(image: DepthImage, rgb: tuple[float, float, float]) -> np.ndarray:
 # 160 ms of simulation between two frames, which are shown for 80 ms each.
 _COMMANDS_A_FRAME = 16
 FRAME_PX = (400, 300)
-# The camera looks down by this much, from the front right unless the jaws close along its line of sight. It has the
-# object in view where it stands, and the whole gripper at the top of the lift.
+# The camera looks down by this much, from the side of the front right. It has the object in view where it stands, and
+# the whole gripper at the top of the lift.
 _FRONT, _FILM_ELEVATION_RAD, _LOOK_AT_M = np.array([0.76, -0.65, 0.0]), np.deg2rad(20.0), 0.24
 _ALONE_M, _CLUTTER_M = 0.92, 1.0
-_UPRIGHT_JAWS = 0.3  # jaws that close with less than this along the level look the same from every side
 _FROM_THE_SIDE, _OBLIQUE_RAD, _UP = 0.5, np.deg2rad(55.0), np.array([0.0, 0.0, 1.0])
 
 
@@ -180,11 +179,10 @@ def film_camera(grasp: Grasp, *, alone: bool) -> np.ndarray:
     """
     closing = grasp.T_world_gripper[:3, 1] * (1.0, 1.0, 0.0)
     behind = -grasp.T_world_gripper[:3, 2] * (1.0, 1.0, 0.0)
-    towards = _FRONT
     if np.linalg.norm(behind) > _FROM_THE_SIDE:
         sides = [rotation_about(_UP, sign * _OBLIQUE_RAD) @ behind / np.linalg.norm(behind) for sign in (-1.0, 1.0)]
         towards = max(sides, key=lambda side: float(side @ _FRONT))
-    elif np.linalg.norm(closing) > _UPRIGHT_JAWS:
+    else:  # the gripper comes from above, so that its jaws close nearly level
         across = np.cross((0.0, 0.0, 1.0), closing / np.linalg.norm(closing))
         towards = across if across @ _FRONT > 0 else -across
     level, height = np.cos(_FILM_ELEVATION_RAD) * towards, np.array([0.0, 0.0, np.sin(_FILM_ELEVATION_RAD)])

@@ -1,0 +1,68 @@
+"""Charts of figures that are unlike each other; `python tests/known_charts.py` writes them to tests/known_charts/."""
+
+from pathlib import Path
+
+from gfp_grasp.drawing import bracket_chart, reasons_chart, reasons_legend, write_bars, write_curves
+from gfp_grasp.types import REASONS
+
+FOLDER = Path(__file__).with_suffix("")
+
+
+def _rates(successes: int, attempts: int, low: float, high: float, **more: object) -> dict:
+    rates = {"attempts": attempts, "successes": successes, "success_rate": successes / attempts, "ci95": [low, high]}
+    return {**rates, **more}
+
+
+def success() -> str:
+    """Three rows, two of them brackets, and a name that is too long."""
+    rows = {
+        "oracle": _rates(3, 4, 0.3, 0.95, completed_world=_rates(4, 4, 0.5, 1.0)),
+        "<mine>:with_a_very_long_name/my-planner": _rates(2, 5, 0.1, 0.8, completed_world=_rates(1, 5, 0.05, 0.6)),
+        "observed": _rates(1, 4, 0.05, 0.7, completed_world=_rates(0, 4, 0.0, 0.5)),
+    }
+    return bracket_chart(rows, ("observed", "oracle"))
+
+
+def half_way() -> str:
+    """A bracket whose rate is a half, alone."""
+    rows = {"oracle": _rates(2, 4, 0.1, 0.9, completed_world=_rates(3, 4, 0.3, 1.0)), "own": _rates(1, 4, 0.0, 0.6)}
+    rows["own"]["completed_world"] = _rates(1, 2, 0.2, 0.7)
+    return bracket_chart(rows, ("observed", "oracle"))
+
+
+def reasons() -> str:
+    """All reasons, one of them too seldom for its number, and a row that has one only."""
+    counts = dict(zip(REASONS, (29, 7, 3, 5, 6, 4, 9, 1), strict=True))
+    rows = {"own": {"attempts": 64, "reasons": counts}, "<other>": {"attempts": 4, "reasons": {"unstable": 4}}}
+    return f"<div>{reasons_chart(rows)}\n{reasons_legend(rows)}</div>"
+
+
+def bars(path: Path) -> str:
+    """Two classes, a method that has no figures in one of them, and one that has none at all."""
+    rows = {
+        "cup": {"other": {"cd_m": 0.012}, "gfpnet": {"cd_m": 0.004}, "none": {}},
+        "all": {"other": {"cd_m": None}, "gfpnet": {"cd_m": 0.006}, "none": {}},
+    }
+    return write_bars(rows, path, title="Bars & more").read_text(encoding="utf-8")
+
+
+def curves(path: Path) -> str:
+    """More curves than colours, of two lengths."""
+    rows = {name: [4.0, 2.0 - 0.1 * i, 1.0][: 3 - i % 2] for i, name in enumerate("abcdef")}
+    return write_curves(rows, path, title="Curves & more", axis="iterations").read_text(encoding="utf-8")
+
+
+def drawn(scratch: Path) -> dict[str, str]:
+    """All charts by name; the scratch file is written over."""
+    return {
+        "success": success(),
+        "half_way": half_way(),
+        "reasons": reasons(),
+        "bars": bars(scratch),
+        "curves": curves(scratch),
+    }
+
+
+if __name__ == "__main__":
+    for name, chart in drawn(FOLDER / "bars.svg").items():
+        (FOLDER / f"{name}.svg").write_text(chart.rstrip("\n") + "\n", encoding="utf-8")
