@@ -1,0 +1,307 @@
+"""Schedules of the networks, and the training runs that they make: what each of them is handed and what is written."""
+
+import json
+from dataclasses import asdict, replace
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+from torch import nn
+
+from gfp_grasp.assets import data_dir
+from gfp_grasp.deform.gfpnet import WEIGHTS
+from gfp_grasp.primitives import PrimitiveLibrary
+from gfp_grasp.register import FitConfig
+from gfp_grasp.train import ClassifierConfig, classifier, gfpnet, pcrnet
+from gfp_grasp.train.classifier import train_classifier
+from gfp_grasp.train.classifier_data import VIEWS, Example, Targets
+from gfp_grasp.train.gfpnet import GFPNET_CONFIGS, measure_paper, paper_loss, patches_of_split, train_gfpnet
+from gfp_grasp.train.pcrnet import PCRNET_CONFIG, train_pcrnet
+
+LIBRARY = PrimitiveLibrary.shipped()
+CONFIGS = {"classifier": ClassifierConfig(), "pcrnet": PCRNET_CONFIG} | {
+    WEIGHTS[variant]: config for variant, config in GFPNET_CONFIGS.items()
+}
+
+
+@pytest.mark.parametrize("name", sorted(CONFIGS))
+def test_the_shipped_weights_were_trained_with_the_schedule_of_today(name: str) -> None:
+    card = json.loads((data_dir("weights") / f"{name}.json").read_text(encoding="utf-8"))
+    assert asdict(CONFIGS[name]) == card["config"]
+
+
+def test_the_classifier_learns_from_views_of_many_heights_and_distances() -> None:
+    assert asdict(VIEWS) == {
+        "elevation_deg": (5.0, 70.0),
+        "distance_m": (0.4, 1.0),
+        "fallen_share": 0.2,
+        "hidden_share": 0.25,
+        "width": 320,
+        "height": 240,
+        "fov_y_deg": 35.0,
+        "num_points": 1500,
+    }
+
+
+class _Run:
+    """Stands in for the loop, the renderers and the writer of a module, and remembers what they were handed."""
+
+    def __init__(self, module, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.trained: list = []
+        self.written: list = []
+        monkeypatch.setattr(module, "train", self._train)
+        monkeypatch.setattr(module, "write_weights", self._write)
+
+    def _train(self, network: nn.Module, batches, loss, **knobs):
+        self.trained.append(SimpleNamespace(network=network, batches=batches, loss=loss, **knobs))
+        return network, 1.5
+
+    def _write(self, network: nn.Module, path: Path, **card) -> Path:
+        self.written.append(SimpleNamespace(network=network, path=path, **card))
+        return path.with_suffix(".json")
+
+
+def test_pcrnet_is_trained_on_two_copies_of_each_view_and_measured_on_one(tmp_path: Path, monkeypatch) -> None:
+    run, asked, rows = _Run(pcrnet, monkeypatch), [], []
+
+    def views(category, split, **knobs):
+        asked.append((category, split, knobs))
+        return [category, split]
+
+    def samples(found, primitive, rng, *, copies):
+        rows.append((found, primitive.name, rng.integers(1000), copies))
+        return [(np.zeros((5, 3)), np.ones((4, 3)), np.eye(3), np.zeros(3), 0.1)] * 3
+
+    monkeypatch.setattr(pcrnet, "cached_views", views)
+    monkeypatch.setattr(pcrnet, "_samples", samples)
+    monkeypatch.setattr(pcrnet, "_measure", lambda network, data: {"val_samples": len(data[0])})
+    config = replace(PCRNET_CONFIG, seed=4, batch=2)
+    told = print
+    card = train_pcrnet(config=config, num_views=3, limit=5, runs=tmp_path, report=told)  # pyright: ignore[reportArgumentType]
+    knobs = {"num_views": 3, "limit": 5, "folder": tmp_path / "views", "data": None}
+    names = LIBRARY.categories
+    assert asked == [(name, split, knobs) for split in ("train", "val") for name in names]
+    assert [(found, name, copies) for found, name, _, copies in rows] == [
+        ([name, split], name, copies) for split, copies in (("train", 2), ("val", 1)) for name in names
+    ]
+    assert rows[0][2] == np.random.default_rng(4).integers(1000)
+    assert rows[len(names)][2] == np.random.default_rng(5).integers(1000)
+    (made,), (written,) = run.trained, run.written
+    assert (made.config, made.checkpoint, made.report) == (config, tmp_path / "pcrnet" / "checkpoint.pt", told)
+    batch = next(made.batches(torch.Generator().manual_seed(0)))
+    assert [tuple(part.shape) for part in batch] == [(2, 5, 3), (2, 4, 3), (2, 3, 3), (2, 3), (2,)]
+    assert {part.dtype for part in batch} == {torch.float32}
+    assert written.path == data_dir("weights") / "pcrnet.safetensors"
+    assert card == written.path.with_suffix(".json")
+    assert (written.config, written.hours, written.metrics) == (config, 1.5, {"val_samples": 9})
+    assert written.data == {
+        "classes": names,
+        "shapes": "procedural",
+        "split": "train",
+        "views_a_shape": 3,
+        "samples": 9,
+    }
+    torch.manual_seed(4)
+    fresh = pcrnet.PCRNet().half().float().state_dict()
+    assert all(torch.equal(fresh[key], value) for key, value in written.network.state_dict().items())
+    monkeypatch.setattr(pcrnet, "layout_of", lambda data: f"laid out as {data}")
+    train_pcrnet(classes=["mug"], out=tmp_path / "net.safetensors", runs=tmp_path, data=Path("meshes"))
+    assert run.written[1].path == tmp_path / "net.safetensors"
+    assert run.written[1].data["shapes"] == "laid out as meshes"
+    assert run.written[1].data["classes"] == ("mug",)
+    assert asked[-1][2] == {**knobs, "num_views": 4, "limit": None, "data": Path("meshes")}
+
+
+def _gfpnet_run(monkeypatch) -> tuple[_Run, list, list]:
+    run, asked, loaded = _Run(gfpnet, monkeypatch), [], []
+
+    def labels(category, **knobs):
+        asked.append((category, knobs))
+        return [], {}
+
+    def load(make, table):
+        loaded.append(table)
+        make("mug")
+        unit = torch.full((6,), 0.02)
+        zeros = [torch.zeros(6, 2, 3, 3) for _ in range(gfpnet.Objects._fields.index("primitive"))]
+        parts = dict(zip(gfpnet.Objects._fields, [*zeros, torch.zeros(6), unit], strict=True))
+        return gfpnet.Objects(**parts), {"mug": {"kept": 6}}
+
+    monkeypatch.setattr(gfpnet, "make_labels", labels)
+    monkeypatch.setattr(gfpnet, "load_objects", load)
+    monkeypatch.setattr(gfpnet, "single_patches", lambda objects: (torch.zeros(9, 3), torch.ones(9, 4)))
+    monkeypatch.setattr(gfpnet, "_measure", lambda network, held_out, table: {"whole": len(held_out.source)})
+    monkeypatch.setattr(gfpnet, "measure_paper", lambda network, data: {"patches": len(data[0])})
+    return run, asked, loaded
+
+
+@pytest.mark.parametrize(("limit", "of_val"), [(None, None), (9, 2), (2, 1)])
+def test_gfpnet_is_trained_on_whole_objects_and_measured_on_a_quarter_of_them(monkeypatch, limit, of_val) -> None:
+    run, asked, loaded = _gfpnet_run(monkeypatch)
+    fit = FitConfig()
+    train_gfpnet(classes=["mug"], num_views=3, limit=limit, runs=Path("r"), workers=2, fit=fit)
+    knobs = {"library": LIBRARY, "num_views": 3, "runs": Path("r"), "workers": 2, "fit": fit, "data": None}
+    assert asked == [
+        ("mug", {**knobs, "split": "train", "limit": limit}),
+        ("mug", {**knobs, "split": "val", "limit": of_val}),
+    ]
+    assert [table.categories for table in loaded] == [("mug",)] * 2
+    (made,), (written,) = run.trained, run.written
+    assert made.config is GFPNET_CONFIGS["patch"]
+    assert made.checkpoint == Path("r/gfpnet/patch.pt")
+    assert made.loss.func is gfpnet.point_loss
+    assert written.path == data_dir("weights") / "gfpnet.safetensors"
+    assert (written.metrics, written.hours, written.config) == ({"whole": 6}, 1.5, made.config)
+    assert written.data == {
+        "classes": ("mug",),
+        "shapes": "procedural",
+        "split": "train",
+        "shapes_a_class": limit or "all",
+        "views_a_shape": 3,
+        "samples": 6,
+        "labels": {"mug": {"kept": 6}},
+    }
+
+
+def test_the_papers_networks_are_trained_on_single_patches(monkeypatch) -> None:
+    run, _, loaded = _gfpnet_run(monkeypatch)
+    monkeypatch.setattr(gfpnet, "layout_of", lambda data: f"laid out as {data}")
+    config = replace(GFPNET_CONFIGS["paper-oneshot"], batch=4, seed=3)
+    out = Path("there.safetensors")
+    train_gfpnet("paper-oneshot", config=config, out=out, data=Path("meshes"), report=print)
+    (made,), (written,) = run.trained, run.written
+    assert loaded[0].categories == LIBRARY.categories
+    assert made.checkpoint == Path("runs/gfpnet/paper-oneshot.pt")
+    assert (made.loss, made.config, made.report) == (paper_loss, config, print)
+    assert [tuple(part.shape) for part in next(made.batches(torch.Generator()))] == [(4, 3), (4, 4)]
+    assert (written.path, written.metrics, written.data["shapes"]) == (out, {"patches": 9}, "laid out as meshes")
+    assert written.data["views_a_shape"] == 4
+    torch.manual_seed(3)
+    fresh = gfpnet.make_network("paper-oneshot").half().float().state_dict()
+    assert all(torch.equal(fresh[key], value) for key, value in written.network.state_dict().items())
+
+
+def test_patches_of_a_split_are_those_of_the_shipped_classes(monkeypatch) -> None:
+    _, asked, loaded = _gfpnet_run(monkeypatch)
+    found = patches_of_split("test", 2, 5, Path("r"), workers=3)
+    assert len(found[0]) == 9
+    assert loaded[0].categories == LIBRARY.categories
+    knobs = {"library": LIBRARY, "split": "test", "num_views": 2, "limit": 5, "runs": Path("r"), "workers": 3}
+    assert asked == [("mug", knobs)]
+
+
+def _example(name: str) -> Example:
+    return Example(np.random.default_rng(0).uniform(0.02, 0.1, (40, 3)), name, "", (name,), (name,), "upright")
+
+
+@pytest.fixture
+def classifier_run(monkeypatch) -> SimpleNamespace:
+    """A run of the classifier's training on nothing, and what was asked for."""
+    run = _Run(classifier, monkeypatch)
+    seen = SimpleNamespace(run=run, views=[], others=[], targets=[], calibrated=[], measured=[])
+
+    def views(name, split, **knobs):
+        seen.views.append((name, split, knobs))
+        return [_example(name)]
+
+    def others(kinds, **knobs):
+        seen.others.append((kinds, knobs))
+        return [_example("assorted-1")] * 2
+
+    def targets(examples, assorted, config, cache):
+        seen.targets.append((len(examples), len(assorted), config, cache))
+        return Targets(torch.zeros(4, 5, 6), torch.zeros(4, 2), torch.zeros(4), torch.tensor([0, 1, 0]), 2)
+
+    def measured(*args):
+        seen.measured.append(args)
+        return {"accuracy": 0.5}
+
+    def calibrated(*args):
+        seen.calibrated.append(args)
+        return SimpleNamespace(temperature=0.123456789, reach=0.987654321)
+
+    for name, fake in (("class_examples", views), ("assorted_examples", others), ("make_targets", targets),
+                       ("calibrate", calibrated), ("measure", measured)):  # fmt: skip
+        monkeypatch.setattr(classifier, name, fake)
+    monkeypatch.setattr(classifier, "_prototypes", lambda network, examples, seed: {"p": (len(examples), seed)})
+    return seen
+
+
+def test_the_classifier_is_trained_calibrated_and_measured_on_apart_views(classifier_run, tmp_path: Path) -> None:
+    config = ClassifierConfig(seed=3, kinds=25, members=4, width=8, channels=8, views=5, limit=10)
+    metrics = train_classifier(
+        config, out=tmp_path, cache=tmp_path / "c", workers=2, report=print, classes=["mug", "cup"]
+    )
+    seen, names = classifier_run, ("mug", "cup")
+    shared = {"data": None, "workers": 2, "folder": tmp_path / "c"}
+    alike = {"mug": ("cup",), "cup": ("mug",)}
+    assert seen.views == [
+        (name, split, {**shared, "num_views": count, "alike": alike[name], "limit": limit})
+        for split, count, limit in (("train", 5, 10), ("val", 2, 2), ("test", 4, 2))
+        for name in names
+    ]
+    knobs = {"num_views": 2, "workers": 2, "folder": tmp_path / "c"}
+    assert seen.others == [
+        (range(25), {**knobs, "num_members": 4}),
+        (range(1000, 1002), {**knobs, "num_members": 2}),
+        (range(2000, 2002), {**knobs, "num_members": 2}),
+    ]
+    assert seen.targets == [(2, 2, config, tmp_path / "c")]
+    (made,), (written,) = seen.run.trained, seen.run.written
+    assert (made.config, made.report) == (config, print)
+    assert made.checkpoint.parent == tmp_path / "c"
+    assert made.checkpoint.name.startswith("classifier_")
+    assert len(made.checkpoint.stem) == len("classifier_") + 10
+    torch.manual_seed(3)
+    fresh = classifier._WithProxies(config, torch.tensor([0, 1, 0]))
+    assert torch.equal(fresh.proxies, made.network.proxies)
+    half = fresh.embedding.half().float().state_dict()
+    assert all(torch.equal(half[key], value) for key, value in written.network.state_dict().items())
+    assert metrics == written.metrics == {"temperature": 0.12346, "reach": 0.98765, "accuracy": 0.5}
+    assert written.path == tmp_path / "classifier.safetensors"
+    assert (written.config, written.hours) == (config, 1.5)
+    assert written.data == {
+        "classes": ["mug", "cup"],
+        "shapes": "procedural",
+        "views": 2,
+        "kinds_of_other_things": 25,
+        "views_of_other_things": 2,
+    }
+    (calibrated,), (measured,) = seen.calibrated, seen.measured
+    assert (calibrated[1], len(calibrated[2]), len(calibrated[3])) == ({"p": (2, 3)}, 2, 2)
+    assert (measured[1], measured[2].reach, len(measured[3]), len(measured[4])) == ({"p": (2, 3)}, 0.987654321, 2, 2)
+
+
+def test_the_classifier_learns_the_shipped_classes_whole_unless_told(classifier_run, tmp_path: Path) -> None:
+    config = ClassifierConfig(kinds=3, width=8, channels=8)
+    train_classifier(config, out=tmp_path, data=Path("meshes"), cache=tmp_path)
+    assert [name for name, split, _ in classifier_run.views if split == "val"] == list(LIBRARY.categories)
+    assert {knobs["limit"] for _, _, knobs in classifier_run.views} == {None}
+    assert classifier_run.views[0][2]["data"] == Path("meshes")
+    assert [kinds for kinds, _ in classifier_run.others] == [range(3), range(1000, 1001), range(2000, 2001)]
+    assert classifier_run.run.written[0].data["shapes"] == "a folder"
+    small = replace(config, limit=3)
+    train_classifier(small, out=tmp_path, cache=tmp_path)
+    assert classifier_run.views[-1][2]["limit"] == 1
+    keys = {made.checkpoint for made in classifier_run.run.trained}
+    assert len(keys) == 2
+
+
+def test_errors_of_patches_are_measured_in_millimetres() -> None:
+    source = torch.tensor([[[0.0, 0, 0], [1, 0, 0]]]).repeat(600, 1, 1)
+    target = source + torch.tensor([0.0, 0.3, 0.4])
+    unit_m = torch.linspace(0.01, 0.03, 600)
+
+    class Half(nn.Module):
+        def forward(self, s, t):
+            assert len(s) <= 512
+            return s + torch.tensor([0.0, 0.15, 0.2])
+
+    found = measure_paper(Half(), (source.half(), source.half(), target, unit_m))
+    assert found == {
+        "val_samples": 600,
+        "mean_error_before_mm": pytest.approx(10.0, abs=2e-3),
+        "mean_error_after_mm": pytest.approx(5.0, abs=2e-3),
+    }
