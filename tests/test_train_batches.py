@@ -1,0 +1,338 @@
+"""What the classifier sees in training, number by number, and how it is calibrated and measured."""
+
+import math
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import torch
+from moments import assert_known
+
+from gfp_grasp.detect import POOL_POINTS, Calibration, EmbeddingNet, Prototypes, mixture
+from gfp_grasp.errors import InvalidOption
+from gfp_grasp.primitives import PrimitiveLibrary
+from gfp_grasp.scenes import ObjectSource
+from gfp_grasp.shapes import make_shape
+from gfp_grasp.train import ClassifierConfig, alike_in, assorted_examples, calibration, class_examples, classifier
+from gfp_grasp.train import classifier_data as module
+from gfp_grasp.train.calibration import calibrate, embedded, measure
+from gfp_grasp.train.classifier import (
+    _loss,
+    _member,
+    _prototypes,
+    _WithProxies,
+    cluster,
+    make_prototypes,
+    with_prototypes,
+)
+from gfp_grasp.train.classifier_data import (
+    VIEWS,
+    Example,
+    _is_usable,
+    above_table,
+    augmented_batches,
+    make_targets,
+    part_is_seen,
+)
+from gfp_grasp.train.views import View, config_id
+
+LIBRARY = PrimitiveLibrary.shipped()
+
+
+def _example(seed: int, category: str, subcategory: str = "", *, answers: tuple[str, ...] = (), low=0.0) -> Example:
+    rng = np.random.default_rng(seed)
+    points = rng.uniform([-0.05, -0.03, low], [0.04, 0.06, 0.12], (300, 3)) * (1 + 0.1 * seed)
+    answers = answers or (category,)
+    return Example(points, category, subcategory, answers, answers, ("upright", "lying")[seed % 2])
+
+
+EXAMPLES = [
+    _example(0, "cup", "tapered"),
+    _example(1, "mug", "ear", answers=("mug", "cup")),
+    _example(2, "mug", "ear"),
+    _example(3, "cup", "footed"),
+    _example(4, "cup", "tapered"),
+]
+OTHERS = [_example(5, "assorted-0"), _example(6, "assorted-7")]
+
+
+def test_a_view_needs_thirty_points_above_the_table() -> None:
+    points = np.zeros((60, 3))
+    for count, usable in ((29, False), (30, True)):
+        points[:count, 2] = 0.05
+        points[count:, 2] = 0.001
+        example = Example(points.copy(), "a", "", ("a",), ("a",), "upright")
+        assert _is_usable(example) is usable
+        assert len(above_table(example)) == count
+    flat = Example(np.zeros((5, 3)), "a", "", ("a",), ("a",), "upright")
+    assert len(above_table(flat)) == 5
+
+
+def test_targets_number_classes_and_kinds_in_their_order(tmp_path: Path) -> None:
+    low = Example(np.zeros((40, 3)), "cup", "flat", ("cup",), ("cup",), "upright")
+    targets = make_targets([*EXAMPLES, low], OTHERS, ClassifierConfig(), tmp_path)
+    assert targets.num_views == 5
+    assert targets.classes.tolist() == [
+        [1, 0, 0, 0], [0.5, 0.5, 0, 0], [0, 1, 0, 0], [1, 0, 0, 0], [1, 0, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1],
+    ]  # fmt: skip
+    assert targets.kind.tolist() == [0, -1, 1, 2, 0, 3, 4]
+    assert targets.class_of.tolist() == [0, 1, 0, 2, 3]
+    assert targets.pool.shape == (7, POOL_POINTS, 6)
+    assert targets.pool.dtype == torch.float32
+    assert_known("pool", targets.pool.numpy())
+
+
+def test_clouds_are_computed_once_for_the_same_examples_and_seed(tmp_path: Path) -> None:
+    first = make_targets(EXAMPLES, OTHERS, ClassifierConfig(), tmp_path).pool
+    (file,) = tmp_path.glob("pool_*.npy")
+    assert len(file.stem) == len("pool_") + 16
+    np.save(file, np.load(file) + 1)
+    assert torch.equal(make_targets(EXAMPLES, OTHERS, ClassifierConfig(), tmp_path).pool, first + 1)
+    assert not torch.equal(make_targets(EXAMPLES, OTHERS, ClassifierConfig(seed=1), tmp_path).pool, first + 1)
+    make_targets(EXAMPLES[1:], OTHERS, ClassifierConfig(), tmp_path)
+    assert len(list(tmp_path.glob("pool_*.npy"))) == 3
+
+
+@pytest.mark.parametrize("unknown_table", [0.0, 1.0, 0.3])
+def test_clouds_are_turned_stretched_cropped_and_thinned_as_ever(tmp_path: Path, unknown_table: float) -> None:
+    targets = make_targets(EXAMPLES, OTHERS, ClassifierConfig(), tmp_path)
+    config = ClassifierConfig(batch=5, share=0.61, unknown_table=unknown_table)
+    stream = augmented_batches(targets, config)(torch.Generator().manual_seed(2))
+    batches = [next(stream) for _ in range(9)]
+    assert_known(
+        f"augmented clouds {unknown_table}", torch.stack([clouds for clouds, _, _ in batches]).numpy(), rel=1e-4
+    )
+    assert_known(f"augmented kinds {unknown_table}", torch.stack([kind for _, _, kind in batches]).numpy())
+    for clouds, classes, kind in batches:
+        assert (clouds.shape, clouds.dtype) == ((5, 256, 8), torch.float32)
+        # Three of five are views of classes, each at most once.
+        assert (classes[:3, :2].sum(dim=1) == 1).all()
+        assert (kind[3:] >= 3).all()
+
+
+def test_few_views_of_classes_are_a_batch_of_fewer(tmp_path: Path) -> None:
+    targets = make_targets(EXAMPLES[:2], OTHERS, ClassifierConfig(), tmp_path)
+    stream = augmented_batches(targets, ClassifierConfig(batch=10, share=0.5))(torch.Generator().manual_seed(0))
+    assert len(next(stream)[0]) == 2 + 5
+
+
+@pytest.mark.parametrize(
+    "knobs", [{"width": 1}, {"kinds": 1}, {"share": 0.01}, {"unknown_table": 0.0}, {"unknown_table": 1.0}]
+)
+def test_a_config_at_the_edge_is_one(knobs: dict) -> None:
+    assert ClassifierConfig(**knobs)
+
+
+@pytest.mark.parametrize("name", ["width", "channels", "views", "kinds", "members", "proxies", "steps"])
+def test_a_config_of_nothing_is_refused(name: str) -> None:
+    with pytest.raises(InvalidOption):
+        ClassifierConfig(**{name: 0})
+
+
+@pytest.mark.parametrize("knobs", [{"share": 0.0}, {"share": 1.0}, {"unknown_table": -0.1}])
+def test_shares_that_are_none_are_refused(knobs: dict) -> None:
+    with pytest.raises(InvalidOption):
+        ClassifierConfig(**knobs)
+
+
+def test_a_handle_is_seen_by_fifteen_points_three_millimetres_beyond_the_body() -> None:
+    T = np.array([[0.0, -1, 0, 0.5], [1, 0, 0, 0.2], [0, 0, 1, 0], [0, 0, 0, 1]])
+    local = np.zeros((40, 3))
+    for count, reach, seen in ((15, 0.0431, True), (14, 0.0431, False), (15, 0.0429, False)):
+        local[:, 0], local[:count, 0] = 0.0, reach
+        assert part_is_seen(local @ T[:3, :3].T + T[:3, 3], T, 0.04) is seen
+
+
+def test_examples_of_a_class_know_their_kind_and_what_they_may_be_taken_for(tmp_path: Path, monkeypatch) -> None:
+    asked: list = []
+
+    def views(category, split, **knobs):
+        asked.append((category, split, knobs))
+        points = np.asarray(make_shape("mug", 4).mesh.vertices)
+        behind = points[points[:, 0] < 0]
+        own = ObjectSource("mug-4", "mug", family="mug", seed=4)
+        file = ObjectSource("some", "mug", path=tmp_path / "some.ply")
+        return [
+            View(source, seen, np.zeros(3), np.eye(4), "lying")
+            for source, seen in ((own, points), (own, behind), (file, behind))
+        ]
+
+    monkeypatch.setattr(module, "cached_views", views)
+    found = class_examples(
+        "mug", "val", num_views=2, alike=("cup",), limit=3, data=tmp_path, workers=2, folder=tmp_path
+    )
+    knobs = {
+        "num_views": 2,
+        "limit": 3,
+        "folder": tmp_path,
+        "workers": 2,
+        "config": VIEWS,
+        "data": tmp_path,
+        "progress": None,
+    }
+    assert asked == [("mug", "val", knobs)]
+    kind = make_shape("mug", 4).kind
+    assert [(e.category, e.subcategory, e.answers, e.accepted, e.resting) for e in found] == [
+        ("mug", kind, ("mug",), ("mug",), "lying"),
+        ("mug", kind, ("mug", "cup"), ("mug", "cup"), "lying"),
+        ("mug", "", ("mug",), ("mug", "cup"), "lying"),
+    ]
+
+
+def test_classes_are_alike_where_their_card_says_so() -> None:
+    assert alike_in(("cup", "bottle", "mug"), "mug") == ("cup",)
+    assert alike_in(("bottle", "mug"), "mug") == ()
+    assert alike_in(("cup", "mug"), "teapot") == ()
+
+
+def test_other_things_are_rendered_once_for_their_numbers(tmp_path: Path, monkeypatch) -> None:
+    made: list = []
+
+    def views(source, mesh, rng, *, num_views, config):
+        made.append((source.name, source.category, len(mesh.vertices), rng.integers(10**6), num_views, config))
+        points = np.full((3, 3), float(len(made)))
+        return [View(source, points, np.zeros(3), np.eye(4), "upside_down")] * num_views
+
+    monkeypatch.setattr(module, "views_of_mesh", views)
+    for _ in range(2):
+        found = assorted_examples([3, 8], num_members=2, num_views=2, folder=tmp_path)
+    assert [(e.category, float(e.points[0, 0])) for e in found] == [
+        (f"assorted-{kind}", value) for kind, value in ((3, 1), (3, 1), (3, 2), (3, 2), (8, 3), (8, 3), (8, 4), (8, 4))
+    ]
+    assert {(e.subcategory, e.answers == e.accepted == (e.category,), e.resting) for e in found} == {
+        ("", True, "upside_down")
+    }
+    assert [(row[0], row[1], row[4], row[5]) for row in made] == [
+        (f"assorted-{kind}-{member}", f"assorted-{kind}", 2, VIEWS) for kind in (3, 8) for member in (0, 1)
+    ]
+    assert made[3][3] == np.random.default_rng([8, 1]).integers(10**6)
+    names = {path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*.npz")}
+    assert f"assorted/00008_001_2_{config_id(VIEWS)}.npz" in names
+
+
+class _Still(EmbeddingNet):
+    """Embeds nothing: the tests say what the embeddings are."""
+
+
+def _bells() -> dict[str, Prototypes]:
+    a, b = np.array([[1.0, 0, 0], [0.8, 0.6, 0]]), np.array([[0.0, 0, 1.0]])
+    return {"a": mixture([a], [1.0]), "b": mixture([b], [1.0])}
+
+
+def _unit(rows: list) -> np.ndarray:
+    values = np.array(rows, dtype=float)
+    return values / np.linalg.norm(values, axis=1, keepdims=True)
+
+
+def test_temperature_and_reach_are_those_of_the_smallest_loss(monkeypatch) -> None:
+    network = _Still(3, width=2)
+    known = [_example(k, name, answers=answers) for k, (name, answers) in enumerate(
+        [("a", ("a",)), ("a", ("a",)), ("b", ("b",)), ("b", ("b", "a")), ("a", ("a",))])]  # fmt: skip
+    unknown = [_example(9, "other")] * 3
+    near = _unit([[1, 0.2, 0.3], [0.5, 0.6, 0.5], [0.2, 0.3, 1], [0.7, 0, 0.6], [0.4, 0, 0.7]])
+    far = _unit([[-1, 0.2, 0.3], [0.1, 0.9, 0.4], [0.6, -0.7, 0.2]])
+    monkeypatch.setattr(calibration, "embedded", lambda network, examples, **_: near if len(examples) == 5 else far)
+    found = calibrate(network, _bells(), known, unknown)
+    assert_known("calibration", [found.temperature, found.reach])
+    # Where nothing is unknown and all is told apart, the surest answer is the best.
+    monkeypatch.setattr(
+        calibration, "embedded", lambda network, examples, **_: np.eye(3)[[0, 0, 2, 2, 0]][: len(examples)]
+    )
+    sure = calibrate(network, _bells(), known, unknown)
+    assert sure.temperature == pytest.approx(0.01)
+    found = [sure.temperature, sure.reach]
+    assert_known("calibration of the sure", found)
+
+
+def test_accuracy_is_of_what_is_accepted_of_what_was_taught_and_by_rest(monkeypatch) -> None:
+    rests = ("upright", "lying", "upright", "lying")
+    answers = (("a",), ("a",), ("b",), ("b",))
+    accepted = (("a",), ("a", "b"), ("b",), ("b",))
+    test = [
+        Example(np.zeros((1, 3)), own[0], "", own, right, rest)
+        for own, right, rest in zip(answers, accepted, rests, strict=True)
+    ]
+    known = _unit([[1, 0, 0], [0, 0, 1], [1, 0, 0.2], [0, 0, 1]])
+    blind = _unit([[0, 0, 1], [0, 0, 1], [1, 0, 0], [1, 0, 0]])
+    outside = [_example(1, "other")]
+
+    def embedding(network, examples, *, table_known=True):
+        if examples is outside:
+            return _unit([[0.5, 0, 0.5]])
+        return known if table_known else blind
+
+    monkeypatch.setattr(calibration, "embedded", embedding)
+    found = measure(_Still(3, width=2), _bells(), Calibration(0.1, 0.5), test, outside)
+    scores = found.pop("mean_top_score"), found.pop("mean_top_score_foreign")
+    assert_known("top scores", scores, rel=1e-4)
+    assert found == {
+        "test_views": 4,
+        "accuracy": 0.75,
+        "accuracy_named_as_taught": 0.5,
+        "accuracy_by_rest": {"lying": 1.0, "upright": 0.5},
+        "accuracy_table_unknown": 0.25,
+    }
+
+
+def test_embeddings_of_examples_are_those_of_old() -> None:
+    torch.manual_seed(0)
+    network = EmbeddingNet(8, width=8).eval()
+    assert_known("embedded", embedded(network, EXAMPLES), rel=1e-3)
+    assert_known("embedded without a table", embedded(network, EXAMPLES, table_known=False), rel=1e-3)
+
+
+def test_clusters_and_prototypes_are_those_of_old(monkeypatch) -> None:
+    rng = np.random.default_rng(0)
+    views = _unit(rng.normal(size=(90, 6)).tolist())
+    assert_known("cluster", cluster(views))
+    assert_known("cluster of four", cluster(views, count=4, seed=2))
+    torch.manual_seed(0)
+    network = EmbeddingNet(8, width=8).eval()
+    mug = LIBRARY.primitive("mug")
+    assert_known("prototypes", make_prototypes(mug, network=network, num_views=5, seed=1), rel=1e-3)
+    meshes = [make_shape("mug", seed).mesh for seed in (0, 1)]
+    assert_known("prototypes of meshes", make_prototypes(mug, meshes=meshes, network=network, num_views=3), rel=1e-3)
+    member = _member(mug, 5)
+    row = mug.coefficient_samples[5]
+    np.testing.assert_allclose(member.vertices, mug.shape(row[:-3], np.exp(row[-3:])))
+    monkeypatch.setattr(classifier, "make_prototypes", lambda primitive, *, meshes, seed: np.eye(2) * seed)
+    made = with_prototypes(mug, seed=7)
+    assert made.card["prototypes_sha256"] == mug.card["prototypes_sha256"]
+    np.testing.assert_array_equal(made.prototypes, np.eye(2) * 7)
+
+
+def test_prototypes_of_a_class_are_from_at_most_four_hundred_of_its_views(monkeypatch) -> None:
+    monkeypatch.setattr(classifier, "embedded", lambda network, own: np.array([[e, 1.0] for e in own.points]))
+    monkeypatch.setattr(classifier, "cluster", lambda views, *, seed: (views, seed)[0])
+    rows: list = []
+    monkeypatch.setattr(classifier, "embedded", lambda network, own: (rows.append(len(own)), np.ones((2, 2)))[1])
+    many = [SimpleNamespace(category=name) for name in ["a"] * 400 + ["b"] * 401 + ["c"] * 3]
+    found = _prototypes(EmbeddingNet(2, width=2), many, 0)  # pyright: ignore[reportArgumentType]
+    assert (list(found), rows) == (["a", "b", "c"], [400, 201, 3])
+    np.testing.assert_allclose(found["a"].weights, 0.5)
+
+
+def test_logits_of_a_class_gather_those_of_its_kinds_and_their_proxies() -> None:
+    torch.manual_seed(1)
+    config = ClassifierConfig(width=4, channels=2, proxies=2)
+    network = _WithProxies(config, torch.tensor([0, 1, 0]))
+    assert network.log_sharpness.item() == pytest.approx(2.7)
+    assert network.proxies.shape == (3, 2, 2)
+    angles = torch.tensor([[0.0, 0.3], [2.0, 2.5], [-1.0, -1.5]])
+    network.proxies.data = 3 * torch.stack([angles.cos(), angles.sin()], dim=2)
+    network.embedding = lambda clouds: torch.tensor([[1.0, 0.0]]).expand(len(clouds), 2)  # type: ignore[assignment]
+    classes, kinds = network(torch.zeros(2, 5, 8))
+    wanted = torch.logsumexp(math.exp(2.7) * angles.cos(), dim=1)
+    torch.testing.assert_close(kinds[0], wanted)
+    torch.testing.assert_close(classes[1], torch.stack([torch.logsumexp(wanted[[0, 2]], 0), wanted[1]]))
+
+
+def test_the_loss_smooths_classes_and_asks_for_a_kind_only_where_it_is_known() -> None:
+    classes, kinds = torch.tensor([[2.0, 0.0], [0.0, 1.0]]), torch.tensor([[1.0, 0, 0], [5.0, 0, 0]])
+    target = torch.tensor([[1.0, 0.0], [0.5, 0.5]])
+    value = _loss(lambda clouds: (classes, kinds), (torch.zeros(2), target, torch.tensor([0, -1])), ClassifierConfig())  # type: ignore[arg-type]
+    smooth = 0.99 * target + 0.005
+    by_class = -(smooth * classes.log_softmax(dim=1)).sum(dim=1).mean()
+    by_kind = -kinds.log_softmax(dim=1)[0, 0]
+    assert value.item() == pytest.approx((by_class + 0.2 * by_kind).item(), rel=1e-6)
