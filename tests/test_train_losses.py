@@ -75,7 +75,7 @@ def test_objects_are_stored_in_half_precision_as_ever(objects: Objects) -> None:
 
 def test_offsets_lead_from_the_fit_to_the_label_in_the_patch_frame() -> None:
     label = _label("mug", 1)
-    parts = dict(zip(Objects._fields, object_of(label, TABLE), strict=True))
+    parts = dict(zip(Objects._fields, map(np.asarray, object_of(label, TABLE)), strict=True))
     index = TABLE.index[TABLE.number("mug")].numpy()
     world = np.einsum("pij,pnj->pni", parts["frames"], parts["offset"]) * parts["unit_m"]
     np.testing.assert_allclose(world, (label.target - label.vertices)[index], atol=1e-9)
