@@ -124,6 +124,7 @@ def test_a_completed_object_weighs_what_plastic_does_and_stands_on_the_table(sca
     np.testing.assert_allclose(body.T_world_object, make_T(t=np.array([0.0, 0.1, 0.03 - low])), atol=1e-12)
     assert (body.name, body.friction) == ("mug", 0.7)
     assert body.mass_kg == pytest.approx(mass_kg)
+    assert body.visual is not None
     np.testing.assert_allclose(body.visual.bounds.mean(axis=0), 0.0, atol=1e-12)
     np.testing.assert_allclose(body.parts[0].vertices.mean(axis=0), [0, 0, -EXTENTS[2] / 4], atol=1e-12)
 
