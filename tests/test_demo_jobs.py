@@ -164,6 +164,9 @@ def test_simulated_scene_tries_each_object_and_films_the_first(
     assert [item.grasp_s for item in items] == [0.5] * 3
     np.testing.assert_allclose(items[0].truth.bounds.mean(axis=0), [0.1, 0.0, 0.05], atol=1e-9)
     assert errors.calls[0][0] == (completions[0].mesh, items[0].truth)
+    jobs.simulated_scene("T", "", "sources", eye=(1, 2, 3), folder=tmp_path)  # type: ignore[arg-type]
+    assert complete.calls[1] == ((image,), {"config": None, "seed": 0})
+    assert set_stage.calls[1][0][1].random() == np.random.default_rng(0).random()
 
 
 def test_an_object_without_grasps_is_not_tried(
@@ -211,3 +214,5 @@ def test_recorded_scene_tries_the_best_grasps_on_what_was_completed(
         ("cup-2", False, "completed parts"),
     ]
     assert stage.pose("cup-2")[0, 3] == pytest.approx(0.1, abs=0.002)
+    jobs.recorded_scene(capture, folder=tmp_path)
+    assert complete.calls[1] == ((capture,), {"category": None, "config": None, "seed": 0})

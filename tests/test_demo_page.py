@@ -49,6 +49,7 @@ def test_table_says_which_columns_are_words_and_what_became_of_the_best_grasp(tm
     words = {"object", "class", "best grasp"}
     assert heads == [(name, "word" if name in words else "", None) for name in HEADINGS]
     rows = [[(cell.text or "", cell.get("class"), cell.get("data-name")) for cell in row] for row in section.iter("tr")]
+    assert not any(row.tail for row in section.iter("tr"))
     assert [cell[0] for cell in rows[1]] == ["mug-1", "mug", "", "4.2", "0.88", "2", "3", "held", "1.2", "0.1"]
     assert [cell[0] for cell in rows[2]] == ["<cup>", "mug", "", "?", "?", "2", "3", "no contact", "1.2", "0.1"]
     assert [cell[0] for cell in rows[3]][-4:] == ["0", "none found", "1.2", "0.1"]

@@ -39,7 +39,11 @@ def chosen(monkeypatch: pytest.MonkeyPatch) -> Recorder:
 
 
 def test_its_own_scenes_are_a_clutter_and_a_single_object(
-    scene: DemoScene, chosen: Recorder, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    scene: DemoScene,
+    chosen: Recorder,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
 ) -> None:
     simulated = recorded(monkeypatch, "gfp_grasp.demo.run.simulated_scene", scene)
     out = tmp_path / "deep" / "out"
@@ -56,6 +60,9 @@ def test_its_own_scenes_are_a_clutter_and_a_single_object(
     page = (out / "index.html").read_text(encoding="utf-8")
     assert "<code>gfp-grasp demo --seed 7</code>" in page
     assert page.count('<section class="scene"') == 2
+    assert capsys.readouterr().out == ""  # without a console
+    run_demo(out)
+    assert [(call[1]["config"], call[1]["seed"]) for call in simulated.calls[2:]] == [(None, 0)] * 2
 
 
 def test_recordings_are_shown_in_place_of_them_and_their_warnings_are_told(

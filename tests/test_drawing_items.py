@@ -6,8 +6,9 @@ import trimesh
 from recorded_calls import Recorder, recorded
 from toy_completions import toy_completion, toy_errors, toy_fit, toy_grasps, toy_item
 
-from gfp_grasp.drawing import items_of, make_item, plan_among
+from gfp_grasp.drawing import gripper_mesh, items_of, joined_boxes, make_item, plan_among
 from gfp_grasp.drawing.items import Item
+from gfp_grasp.grasps import Gripper
 
 
 @pytest.fixture(autouse=True)
@@ -71,6 +72,13 @@ def test_an_object_without_truth_has_no_errors() -> None:
     own = toy_completion()
     item = make_item("own", own, (own,), None, seed=0)
     assert (item.name, item.completion, item.truth, item.errors) == ("own", own, None, None)
+
+
+def test_boxes_that_touch_keep_eight_corners_each_and_so_does_the_gripper() -> None:
+    boxes = np.array([[[0, 0, 0], [1, 1, 1]], [[1, 0, 0], [2, 1, 1]]], dtype=float)
+    assert joined_boxes(boxes).vertices.shape == (16, 3)
+    (grasp,) = toy_grasps(1)
+    assert len(gripper_mesh(grasp).vertices) == 8 * len(Gripper().solids(np.array([grasp.width_m]))[0])
 
 
 def test_an_item_tells_its_residual_and_the_seconds_of_all_stages() -> None:
