@@ -1,9 +1,11 @@
 """Parts kept on disk: found again, kept apart, and never in the way."""
 
+import hashlib
 import multiprocessing
 import os
 import time
 from dataclasses import replace
+from importlib.metadata import PackageNotFoundError
 from pathlib import Path
 
 import numpy as np
@@ -199,3 +201,80 @@ def test_a_lookup_takes_milliseconds():
     for _ in range(5):
         decompose(box(), config=QUICK)
     assert (time.perf_counter() - started) / 5 < 0.1
+
+
+def test_keys_are_digests_of_the_format_the_versions_the_options_and_the_mesh(monkeypatch: pytest.MonkeyPatch):
+    """Whoever changes what a key is made of, or what the files hold, raises the format."""
+    assert key_of("a") == hashlib.sha256(b"3/a").hexdigest()
+    wheels: list[str] = []
+    monkeypatch.setattr(store, "version", lambda wheel: (wheels.append(wheel), "1.2")[1])
+    monkeypatch.setattr(store, "__version__", "0.1")
+    mesh = trimesh.creation.box((0.5, 0.25, 0.125))
+    for engine, known in (("coacd", "dce9dfd714edd0ae"), ("vhacd", "edd4100a3a00f43f")):
+        assert decomposition_key(mesh, DecomposeConfig(engine=engine))[:16] == known
+    assert wheels == ["coacd", "vhacdx"]
+
+    def missing(wheel: str) -> str:
+        raise PackageNotFoundError(wheel)
+
+    monkeypatch.setattr(store, "version", missing)
+    assert decomposition_key(mesh, DecomposeConfig())[:16] == "7d48f53b93fc3489"
+
+
+@pytest.mark.parametrize(("age_s", "stays"), [(3500.0, True), (3700.0, False)])
+def test_a_file_half_written_is_abandoned_after_an_hour(folder: Path, age_s: float, stays: bool):
+    write_parts(key_of("first"), hull(box()))
+    half = folder / f"{key_of('half')}-abc.tmp"
+    half.write_bytes(b"half")
+    os.utime(half, (time.time() - age_s,) * 2)
+    write_parts(key_of("second"), hull(box()))
+    assert half.exists() == stays
+    assert len(list(folder.glob("*.npz"))) == 2
+
+
+def test_the_cache_holds_a_quarter_of_a_gibibyte():
+    assert store.LARGEST_BYTES == 268_435_456
+
+
+@pytest.mark.parametrize(
+    ("platform", "variables", "below"),
+    [
+        ("win32", {"LOCALAPPDATA": "{home}/local"}, "local"),
+        ("win32", {}, "AppData/Local"),
+        ("darwin", {"XDG_CACHE_HOME": "/elsewhere"}, "Library/Caches"),
+        ("linux", {}, ".cache"),
+    ],
+)
+def test_every_platform_has_its_own_folder(tmp_path: Path, monkeypatch, platform: str, variables: dict, below: str):
+    for name in (CACHE_VARIABLE, "XDG_CACHE_HOME", "LOCALAPPDATA"):
+        monkeypatch.delenv(name, raising=False)
+    for name, value in variables.items():
+        monkeypatch.setenv(name, value.format(home=tmp_path))
+    monkeypatch.setattr(Path, "home", lambda: tmp_path)
+    monkeypatch.setattr(store.sys, "platform", platform)
+    assert store.cache_folder() == tmp_path / below / "gfp_grasp" / "parts"
+
+    def nobody() -> Path:
+        raise RuntimeError("no home")
+
+    if not variables:
+        monkeypatch.setattr(Path, "home", nobody)
+        assert store.cache_folder() is None
+    monkeypatch.setenv(CACHE_VARIABLE, "OFF")
+    assert store.cache_folder() is None
+
+
+def test_a_file_is_whole_or_not_there_and_its_temporary_name_is_its_own(folder: Path, monkeypatch: pytest.MonkeyPatch):
+    names: list[str] = []
+
+    def fail(file, **arrays):
+        names.extend(path.name for path in folder.iterdir())
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(store.np, "savez_compressed", fail)
+    with pytest.raises(KeyboardInterrupt):
+        write_parts(key_of("torn"), hull(box()))
+    assert len(names) == 1
+    assert names[0].startswith(f"{key_of('torn')}-")
+    assert names[0].endswith(".tmp")
+    assert list(folder.iterdir()) == []
