@@ -44,8 +44,8 @@ def _hashes(points: np.ndarray, seed: int) -> np.ndarray:
     """(n,) uint64 of the coordinates alone."""
     bits = np.ascontiguousarray(points + 0.0).view(np.uint64)
     # splitmix64's constants; the seed moves the stream.
-    state = np.uint64(seed % 2**63) * np.uint64(0x9E3779B97F4A7C15)
     with np.errstate(over="ignore"):
+        state = np.uint64(seed % 2**63) * np.uint64(0x9E3779B97F4A7C15)
         mixed = state + bits[:, 0] * np.uint64(0xBF58476D1CE4E5B9)
         mixed ^= mixed >> np.uint64(31)
         mixed = (mixed + bits[:, 1]) * np.uint64(0x94D049BB133111EB)
