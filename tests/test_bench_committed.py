@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 
 from gfp_grasp import bench
-from gfp_grasp.bench import collision, hollow, hostile, registration, rows
+from gfp_grasp.bench import collision, hollow, hostile, methods, registration, rows
 from gfp_grasp.bench.ablation import ITERATIONS, WIDTHS, AblationConfig
 from gfp_grasp.bench.collision import PartsRow
 from gfp_grasp.bench.completion import CompletionConfig
@@ -172,6 +172,17 @@ def test_the_other_benches_are_short_without_options():
         "workers": 1,
         "report": None,
     }
+
+
+def test_the_room_shows_what_its_modules_have():
+    assert bench.BRIEF is methods.BRIEF
+    assert bench.METHODS is methods.METHODS
+    assert bench.PARTS_METHODS is collision.METHODS
+    for name in bench.__all__:
+        if name.startswith("bench_") or name.endswith("Config"):
+            assert getattr(bench, name).__name__ == name
+    with pytest.raises(AttributeError, match="no attribute 'magic'"):
+        bench.magic  # noqa: B018
 
 
 QUIET = {"workers": 1, "progress": None}

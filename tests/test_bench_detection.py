@@ -276,8 +276,9 @@ def test_clutter_stands_apart_on_the_table():
 
 
 def test_clutter_that_finds_no_room_is_left_out(monkeypatch):
-    """Discs of 100 mm radius: where the first two leave no room, no third stands."""
-    disc = trimesh.creation.cylinder(0.1, 0.02)
+    """Tall cylinders of 100 mm radius: where the first two leave no room, no third stands."""
+    disc = trimesh.creation.cylinder(0.1, 0.4)
+    least = []
     monkeypatch.setattr(detection, "make_shape", lambda family, seed: SimpleNamespace(mesh=disc))
     for seed in range(12):
         middles = [mesh.bounds.mean(axis=0)[:2] for mesh in detection._clutter(np.random.default_rng(seed))]
@@ -285,3 +286,5 @@ def test_clutter_that_finds_no_room_is_left_out(monkeypatch):
         assert np.abs(middles).max() <= 0.18
         apart = [np.linalg.norm(a - b) for n, a in enumerate(middles) for b in middles[:n]]
         assert all(distance > 0.204 for distance in apart)
+        least += apart
+    assert min(least) < 0.22

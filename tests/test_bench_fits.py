@@ -104,6 +104,10 @@ def test_figures_are_medians_of_the_fitted_views_and_rests_are_counted():
     assert registration._summarise(rows[3:])["ms"] is None
 
 
+def test_one_view_is_enough():
+    assert RegistrationConfig(views=1).limit is None
+
+
 @pytest.mark.parametrize("mean_size", [False, True])
 def test_every_shape_is_fitted_in_every_view_from_every_start(monkeypatch, mean_size):
     rendered, fitted = [], []

@@ -1,7 +1,10 @@
 """The bench of hostile meshes as a run: its order, its reports on the way, and processes that are lost."""
 
+import subprocess
+import sys
 import threading
 from queue import SimpleQueue
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -257,6 +260,21 @@ def test_a_process_that_a_step_leaves_behind_is_told(steps, monkeypatch):
     monkeypatch.setattr(hostile, "_left_behind", lambda: {12, 7})
     found = measure_mesh("validate", 0, seed=0)
     assert (found.outcome, found.why) == ("zombie", "processes [7, 12] were left")
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="no /proc to see processes in")
+def test_a_child_that_is_not_an_idle_worker_was_left_behind(monkeypatch):
+    before = hostile._left_behind()
+    child = subprocess.Popen([sys.executable, "-c", "input()"], stdin=subprocess.PIPE)
+    try:
+        assert hostile._left_behind() - before == {child.pid}
+        monkeypatch.setattr(hostile, "idle_pids", lambda: {child.pid})
+        assert child.pid not in hostile._left_behind()
+    finally:
+        child.kill()
+        child.communicate()
+    monkeypatch.setattr(hostile, "sys", SimpleNamespace(platform="darwin"))
+    assert hostile._left_behind() == set()
 
 
 def test_what_is_wrong_with_parts_is_named():

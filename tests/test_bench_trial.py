@@ -226,7 +226,7 @@ class Hanging:
         return make_T(None, (0.0, 0.3, 0.01 * self.command - 1e-5 * self.command))
 
 
-def creep(monkeypatch, *, commands: int, settings: TrialSettings, seconds: float = 3.0, timestep: float = 0.002):
+def creep(monkeypatch, *, commands: int, settings: TrialSettings, timestep: float = 0.002, **how: float):
     """Creep over a trial that lasts so many commands, and the settings of the trial."""
     hanging, world, asked = Hanging(), World(), []
     world.model.opt.timestep = timestep
@@ -243,7 +243,7 @@ def creep(monkeypatch, *, commands: int, settings: TrialSettings, seconds: float
 
     monkeypatch.setattr(trial, "Handles", SimpleNamespace(of=handles))
     monkeypatch.setattr(trial, "run_trial", run)
-    return creep_mps(world, GRASPS[0], settings, seconds=seconds), asked[0]  # type: ignore[arg-type]
+    return creep_mps(world, GRASPS[0], settings, **how), asked[0]  # type: ignore[arg-type]
 
 
 SETTINGS = TrialSettings(approach_s=0.5, close_s=0.3, lift_s=0.7, control_s=0.01)
