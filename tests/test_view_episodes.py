@@ -160,7 +160,8 @@ def test_folder_of_the_episode_is_the_first_and_has_its_buttons(viewer: EpisodeV
     assert handles(viewer, "folder")["Episode"].named == {"order": -1.0}
     buttons = handles(viewer, "button")
     assert list(buttons) == ["next", "try"]
-    assert buttons["try"].named["color"] == "green"
+    assert buttons["try"].named == {"color": "green", "hint": "Approach, close, lift, shake, let go."}
+    assert buttons["next"].named == {"hint": "Draw the episode of the next seed."}
     assert handles(viewer, "slider")["grasp to try"].arguments == ("grasp to try", 1, 16, 1, 1)
     assert viewer.headroom_m == 0.25
 
@@ -186,7 +187,8 @@ def test_an_episode_without_grasps_says_so_and_nothing_can_be_tried(viewer: Epis
         assert status(viewer) == line("seed 6: no grasp found")
         assert (viewer.grasps, viewer._rank.max) == ((), 1)
         assert (viewer._next.disabled, viewer._try.disabled) == (False, True)
-    assert EpisodeViewer(SimpleNamespace(), port=0).grasps == ()  # type: ignore[arg-type]
+    bare = EpisodeViewer(SimpleNamespace(), port=0)  # type: ignore[arg-type]
+    assert (bare.grasps, bare.seed) == ((), 0)
 
 
 def test_a_trial_is_played_and_all_is_put_back(viewer: EpisodeViewer, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -220,11 +222,12 @@ def test_a_trial_is_played_and_all_is_put_back(viewer: EpisodeViewer, monkeypatc
 
 
 def test_playing_ends_where_the_viewer_is_stopped(viewer: EpisodeViewer, monkeypatch: pytest.MonkeyPatch) -> None:
-    recorded(monkeypatch, "gfp_grasp.view.episodes.record_trial", motion())
+    tried = recorded(monkeypatch, "gfp_grasp.view.episodes.record_trial", motion())
     stopped = recorded(monkeypatch, "gfp_grasp.view.episodes.EpisodeViewer._place")
     viewer.stop()
     viewer.try_grasp()
     assert len(stopped.calls) == 1
+    assert tried.only[0][1] is viewer.grasps[0]
     assert not viewer.panels.playing
 
 

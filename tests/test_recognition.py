@@ -1,0 +1,83 @@
+"""Which classes a detection may be of, how sure that is, and which primitives are fitted to it."""
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+from recorded_calls import recorded
+from toy_completions import toy_completion
+
+from gfp_grasp.recognition import SURE_SCORE, candidate_primitives, recognise, sureness
+
+CARDS = {
+    "bottle": (0.0, ()),
+    "cup": (0.5, ("mug",)),
+    "cup.lidded": (1.5, ()),
+    "mug": (0.25, ("cup", "jug")),
+}
+
+
+class ToyLibrary:
+    """Classes with the costs and the look-alikes of the table."""
+
+    categories = ("bottle", "cup", "mug")
+
+    def spec(self, name: str) -> Any:
+        return SimpleNamespace(alike=CARDS[name][1])
+
+    def primitive(self, name: str) -> Any:
+        return SimpleNamespace(name=name, spec=SimpleNamespace(cost=CARDS[name][0]))
+
+    def members_of(self, category: str) -> tuple[Any, ...]:
+        return tuple(self.primitive(name) for name in CARDS if name.split(".")[0] == category)
+
+    def __contains__(self, name: str) -> bool:
+        return name in CARDS
+
+
+LIBRARY: Any = ToyLibrary()
+
+
+def candidates(category: str, scores: dict[str, float], share: float, subcategories: bool) -> list[tuple[str, float]]:
+    detection = toy_completion(category=category, scores=scores).detection
+    found = candidate_primitives(detection, LIBRARY, rival_share=share, subcategories=subcategories)
+    return [(primitive.name, float(odds)) for primitive, odds in found]
+
+
+def test_the_likely_classes_come_first_each_with_its_odds_and_its_cost() -> None:
+    scores = {"bottle": 0.04, "cup": 0.16, "mug": 0.8, "teapot": 0.9}  # nobody knows a teapot
+    assert candidates("mug", scores, 0.19, False) == [
+        ("mug", pytest.approx(-np.log(0.8) + 0.25)),
+        ("cup", pytest.approx(-np.log(0.16) + 0.5)),
+    ]
+    assert [name for name, _ in candidates("mug", scores, 0.19, True)] == ["mug", "cup", "cup.lidded"]
+    assert [name for name, _ in candidates("mug", scores, 0.04, False)] == ["mug", "cup", "bottle"]
+    assert [name for name, _ in candidates("mug", scores, 0.21, False)] == ["mug"]
+
+
+def test_a_class_that_was_given_costs_nothing_but_its_own_and_odds_have_an_end() -> None:
+    assert candidates("cup", {}, 0.5, True) == [("cup", 0.5), ("cup.lidded", 1.5)]
+    tiny = candidates("cup", {"cup": 0.0}, 0.5, False)
+    assert tiny == [("cup", pytest.approx(-np.log(1e-6) + 0.5))]
+
+
+def test_a_class_is_as_sure_as_it_and_those_that_it_is_taken_for_are_together() -> None:
+    assert sureness({}, LIBRARY) == 1.0
+    assert sureness({"mug": 0.4, "cup": 0.35, "bottle": 0.25}, LIBRARY) == pytest.approx(0.75)
+    assert sureness({"bottle": 0.6, "cup": 0.1, "mug": 0.3}, LIBRARY) == pytest.approx(0.6)
+    assert sureness({"teapot": 0.9, "cup": 0.1}, LIBRARY) == pytest.approx(0.9)
+    assert SURE_SCORE == 0.7
+
+
+def test_what_is_known_is_not_asked_for_again_and_else_the_best_class_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
+    ask = recorded(monkeypatch, "gfp_grasp.detect.classify", {"cup": 0.3, "mug": 0.7})
+    for known in (toy_completion(category="cup"), toy_completion(category="", scores={"cup": 1.0})):
+        assert recognise(known.detection, LIBRARY) is known.detection
+    assert not ask.calls
+    detection = toy_completion(category="").detection
+    made = recognise(detection, LIBRARY)
+    assert (made.category, made.scores) == ("mug", {"cup": 0.3, "mug": 0.7})
+    (points, up, support), named = ask.only
+    assert (points is detection.cloud.points, up is detection.up) == (True, True)
+    assert (support, named) == (detection.support, {"library": LIBRARY})
