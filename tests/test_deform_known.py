@@ -150,15 +150,17 @@ def test_changes_of_a_fit_are_those_of_old(fit: FittedPrimitive, view: LevelView
         fit.coefficients,
         primitive.log_scale_cov,
     )
-    levers = make_levers(*(torch.tensor(np.array(p))[None] for p in parts), torch.tensor([patch_unit_m(primitive)]))
+    first, modes, scale, coefficients, covariance = (torch.tensor(np.array(p))[None] for p in parts)
+    unit_m = torch.tensor([patch_unit_m(primitive)])
+    levers = make_levers(first, modes, scale, coefficients, covariance, unit_m)
     assert_known("levers", levers.moves.numpy())
     assert_known("state of the levers", levers.state.numpy())
     normals = torch.tensor(rng.normal(size=(1, len(primitive.vertices), 3)))
-    one = PatchAnswer(
-        *(part.double()[:, :1, :1] for part in answer[:4]), answer.log_ridge.double(), answer.recall.double()
-    )
-    wide = one._replace(
-        advance=some(1, 1, len(primitive.vertices)).double(), log_weight=some(1, 1, len(primitive.vertices)).double()
+    wide = answer._replace(
+        advance=some(1, 1, len(primitive.vertices)).double(),
+        log_weight=some(1, 1, len(primitive.vertices)).double(),
+        log_ridge=answer.log_ridge.double(),
+        recall=answer.recall.double(),
     )
     assert_known("solved change", solve_change(levers, normals, wide).numpy(), rel=1e-4)
 

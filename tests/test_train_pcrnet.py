@@ -5,12 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from moments import assert_known
 from scipy.spatial.transform import Rotation
 from toy_primitive import toy_cup_primitive
 
+from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.register.pcrnet import PCRNet, rotation_of
 from gfp_grasp.register.state import PoseShape
-from gfp_grasp.train.pcrnet import _is_near, _jittered, _loss, _measure, _truth, augmented
+from gfp_grasp.train.pcrnet import _is_near, _jittered, _loss, _measure, _samples, _truth, augmented
+from gfp_grasp.train.views import ViewsConfig, render_views, shape_source
 from gfp_grasp.transforms import make_T, rotation_about
 from gfp_grasp.types import Symmetry
 
@@ -132,3 +135,42 @@ def test_jitter_turns_shifts_and_scales_by_known_spreads() -> None:
     assert np.std([m.t for m in moved], axis=0) == pytest.approx(0.012 * np.ones(3), rel=0.08)  # 6 mm times the scale
     assert np.std([m.log_scale for m in moved], axis=0) == pytest.approx(0.05 * np.ones(3), rel=0.08)
     assert np.mean([m.t for m in moved], axis=0) == pytest.approx(state.t, abs=1e-3)
+
+
+class _Turns(PCRNet):
+    """Says that each template is turned by a quarter about z, whatever it is shown."""
+
+    def iterate(self, template, cloud, *, iterations=5):
+        yield QUARTER.expand(len(template), 3, 3), torch.zeros(len(template), 3)
+
+
+QUARTER = torch.tensor([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+
+
+def test_a_turn_is_counted_in_its_own_sense() -> None:
+    template = torch.tensor([[[1.0, 0.0, 0.0], [3.0, 0.0, 1.0]]]).repeat(2, 1, 1)
+    pairs = (template, template, QUARTER.expand(2, 3, 3), torch.zeros(2, 3), torch.tensor([0.01, 0.03]))
+    assert _loss(_Turns(), pairs).item() == pytest.approx(0.0, abs=1e-6)
+    found = _measure(_Turns(), pairs)
+    assert found["mean_error_after_mm"] == pytest.approx(0.0, abs=1e-6)
+    assert found["mean_error_before_mm"] == pytest.approx(20 * 2 * np.sqrt(2), rel=1e-3)
+    backwards = (*pairs[:2], QUARTER.T.expand(2, 3, 3), *pairs[3:])
+    assert _loss(_Turns(), backwards).item() == pytest.approx(4.0)
+
+
+def test_pairs_are_near_starts_of_a_view_with_the_way_to_its_truth() -> None:
+    cup = PrimitiveLibrary.shipped().primitive("cup")
+    (view,) = render_views(shape_source("cup", 3), num_views=1, config=ViewsConfig(width=160, height=120))
+    rows = _samples([view], cup, np.random.default_rng(0), copies=3)
+    assert len(rows) == 3
+    for template, cloud, R, t, radius in rows:
+        assert template.shape == cloud.shape == (128, 3)
+        # The truth brings the template near the cloud: a tenth of the radius off, where its width or height is.
+        moved = template @ R.T + t
+        away = np.linalg.norm(cloud[:, None] - moved, axis=2).min(axis=1).mean()
+        assert away < 0.35
+        assert 0.02 < radius < 0.1
+    assert_known("pairs of pcrnet", np.concatenate([np.append(t, radius) for *_, t, radius in rows]), rel=1e-3)
+    assert_known("templates of pcrnet", np.stack([template for template, *_ in rows]), rel=1e-3)
+    over = replace(view, T_world_object=np.diag([1.0, -1.0, -1.0, 1.0]))
+    assert _samples([over], cup, np.random.default_rng(0), copies=3) == []
