@@ -1,6 +1,7 @@
 """Errors, rooms, cuts, levels and bindings of convex parts, to the number, on bodies without any symmetry."""
 
 import inspect
+import threading
 import warnings
 from dataclasses import asdict, replace
 
@@ -13,7 +14,7 @@ from revolved import cup
 from test_collision_deformed import CUP, TEMPLATE, completed, primitive, tapered
 from toy_bodies import l_body, refined
 
-from gfp_grasp.collision import CollisionConfig, DecomposeConfig, choice, decomposition, deform_parts
+from gfp_grasp.collision import CollisionConfig, DecomposeConfig, attempts, choice, decomposition, deform_parts
 from gfp_grasp.collision.choice import _ball, _measured, _said
 from gfp_grasp.collision.convex import _directions, convex_part, convex_parts, fewer_corners, needed_corners
 from gfp_grasp.collision.cutting import _measured as measured_piece
@@ -22,6 +23,7 @@ from gfp_grasp.collision.deformed import _bind, _thinned
 from gfp_grasp.collision.fidelity import ball_radii_m, barycentric_hold, union_error_m, volume_ratios, widest_gap
 from gfp_grasp.collision.levels import levels_of
 from gfp_grasp.collision.parts import PartFaces, diagonal_m
+from gfp_grasp.errors import InvalidOption
 from gfp_grasp.types import CollisionMesh, ConvexPart
 
 
@@ -240,3 +242,66 @@ def test_a_shape_whose_primitive_is_another_is_not_carried() -> None:
     assert found is not None
     assert found.notes["level"] == 4
     assert diagonal_m(CUP.vertices) == pytest.approx(float(np.linalg.norm(CUP.extents)))
+
+
+def test_a_hull_tells_its_volume_and_that_nothing_was_dropped() -> None:
+    found = decomposition.hull(BODY, max_vertices=4)
+    (part,) = found.parts
+    assert len(part.vertices) == 4
+    ratio = part.to_trimesh().volume / BODY.volume
+    assert found.notes == {
+        "dropped": 0,
+        "volume_ratio": pytest.approx(ratio),
+        "union_volume_ratio": pytest.approx(ratio),
+    }
+    assert found.error_m == union_error_m(found.parts, BODY, rng=_rng())
+    assert (found.made_by, 0 <= found.seconds < 5) == ("hull", True)
+    with pytest.raises(InvalidOption, match="at least 4"):
+        decomposition.hull(BODY, max_vertices=3)
+
+
+def test_notes_of_a_decomposition_are_those_of_its_attempt_and_its_repair(monkeypatch: pytest.MonkeyPatch) -> None:
+    hulls = [(np.asarray(part.vertices), np.asarray(part.faces)) for part in PARTS]
+    said = {"memory_limit": True, "unknown_options": []}
+    monkeypatch.setattr(attempts, "run_guarded", lambda *_, **__: (hulls, said))
+    stages: list[str] = []
+    config = DecomposeConfig(cache=False, seed=5, threshold=0.07)
+    found = decomposition.decompose(BODY, config=config, progress=stages.append)
+    assert stages == ["checking", "repairing", "decomposing, attempt 1", "measuring"]
+    ratio, union_ratio = volume_ratios(found.parts, BODY, rng=_rng())
+    assert found.notes == {
+        "attempts": 1,
+        "lost": (),
+        "dropped": 0,
+        "volume_ratio": pytest.approx(ratio),
+        "union_volume_ratio": pytest.approx(union_ratio),
+        "threshold": 0.07,
+        "preprocess_mode": "off",
+        "memory_limit": True,
+        "cached": False,
+        "repair_m": 0.0,
+    }
+    assert found.error_m == pytest.approx(union_error_m(found.parts, BODY, rng=_rng(5)))
+    assert found.made_by == "coacd"
+    free = decomposition.decompose(BODY, config=replace(config, memory_limit_mb=None, engine="vhacd"))
+    assert (free.notes["memory_limit"], free.notes["vhacd_resolution"], free.made_by) == (False, 400_000, "vhacd")
+    assert "threshold" not in free.notes
+
+
+def test_a_stream_stops_when_it_is_closed_or_its_caller_says_so() -> None:
+    sign = threading.Event()
+    stop = decomposition._Stop(sign)
+    assert not stop.is_set()
+    sign.set()
+    assert stop.is_set()
+    closed = decomposition._Stop(None)
+    assert not closed.is_set()
+    closed.called_off.set()
+    assert closed.is_set()
+
+
+@pytest.mark.parametrize(("offset_m", "is_coarse"), [(9.0, False), (11.0, True)])
+def test_points_beyond_ten_metres_are_what_float32_leaves_of_them(offset_m: float, is_coarse: bool) -> None:
+    points = _ball_points() + offset_m
+    assert (np.abs(attempts.in_float32(points) - points).max() > 0) == is_coarse
+    assert len(attempts.in_float32(np.zeros((0, 3)))) == 0

@@ -58,6 +58,20 @@ def test_vertices_without_an_agreeing_surface_count_as_twice_the_residual_that_i
         assert label_fit(patched, apart, leaning)[1] == pytest.approx(wanted, abs=1e-9)
 
 
+@pytest.mark.parametrize(("others", "is_found"), [(7, True), (8, False)])
+def test_an_agreeing_surface_is_looked_for_among_the_nearest_eight(monkeypatch, others: int, is_found: bool) -> None:
+    fit = _toy_fit()
+    normals = vertex_normals(fit.primitive.vertices, fit.primitive.faces)
+    apart = 10.0 * np.arange(len(normals))[:, None] * np.ones(3)
+    monkeypatch.setattr(module, "_STAGES", ())
+    monkeypatch.setattr(module, "vertex_normals", lambda *_: normals)
+    monkeypatch.setattr(type(fit.primitive), "shape", lambda *_: apart)
+    layers = [apart + 1e-4 * (k + 1) * normals for k in range(others)] + [apart + 1e-3 * normals]
+    facing = [-normals] * others + [normals]
+    residual_m = label_fit(fit, np.concatenate(layers), np.concatenate(facing))[1]
+    assert residual_m == pytest.approx(1e-3 if is_found else 2 / 15 * patch_unit_m(fit.primitive))
+
+
 def _view(seed: int = 3, shift: float = 0.0, family: str = "cup") -> View:
     source = ObjectSource(f"{family}-{seed}", family, family=family, seed=seed)
     points = np.random.default_rng(seed).normal(size=(50, 3)) + shift
