@@ -1,8 +1,20 @@
 """Training views are the same for the same seed, and what is out of sight is no view."""
 
 import numpy as np
+import pytest
+from moments import assert_known
+from toy_bodies import l_body
 
-from gfp_grasp.train.views import _occlude, across_edge, render_views, rest_rotation, shape_source
+from gfp_grasp.scenes import ObjectSource
+from gfp_grasp.train.views import (
+    ViewsConfig,
+    _occlude,
+    across_edge,
+    render_views,
+    rest_rotation,
+    shape_source,
+    views_of_mesh,
+)
 
 
 def test_views_of_a_shape_are_the_same_for_the_same_seed_and_hold_its_surface():
@@ -36,3 +48,17 @@ def test_an_edge_runs_across_its_angle():
     across = across_edge((4, 5), np.pi / 2)
     np.testing.assert_allclose(across, np.repeat(np.arange(4.0)[:, None], 5, axis=1), atol=1e-12)
     np.testing.assert_allclose(across_edge((4, 5), 0.0)[2], np.arange(5.0))
+
+
+@pytest.mark.parametrize(("size", "share"), [(1.0, 1.0), (1.0, 0.5), (9.0, 0.3)])
+def test_views_of_a_mesh_are_those_that_the_shipped_networks_were_trained_on(size: float, share: float) -> None:
+    """Poses, cameras, sensors and occluders are drawn as ever; what is large is seen from farther away."""
+    mesh = l_body(0.03).apply_scale(size)
+    config = ViewsConfig(width=80, height=60, num_points=150, fallen_share=share, hidden_share=share)
+    source = ObjectSource("l", "l")
+    views = views_of_mesh(source, mesh, np.random.default_rng(4), num_views=8, config=config)
+    name = f"views {size} {share}"
+    assert_known(f"{name}: poses", [view.T_world_object for view in views])
+    assert_known(f"{name}: cameras", [view.viewpoint for view in views])
+    assert_known(f"{name}: rests", [("upright", "upside_down", "lying").index(view.resting) for view in views])
+    assert_known(f"{name}: points", np.concatenate([view.points for view in views]), rel=1e-3)
