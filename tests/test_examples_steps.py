@@ -180,6 +180,8 @@ def test_a_class_of_urns_is_made_of_a_folder_and_one_more_is_completed(
     first = names["urn"](generator)
     np.testing.assert_allclose(meshes[0].vertices, first.vertices, atol=1e-6)
     assert names["view"].depth_m.shape == (240, 320)
+    run(monkeypatch, "06_add_a_class", "1")  # its folders are there already
+    assert len(build.calls) == 2
 
 
 def test_urns_have_the_documented_sizes_and_a_wall() -> None:

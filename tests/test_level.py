@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from toy_completions import toy_completion, toy_image
 
+from gfp_grasp import level
 from gfp_grasp.errors import TooFewPoints
 from gfp_grasp.level import MIN_POINTS, guessed_silhouette, level_frame, make_level_view
 from gfp_grasp.transforms import apply_T, invert_T, make_T, rotation_about
@@ -73,6 +74,20 @@ def test_where_no_support_was_seen_the_floor_is_as_much_below_the_points_as_the_
     under = toy_completion(support=None, viewpoint=(0.0, 0.0, -1.0), num_points=400)
     view = make_level_view(under.detection)
     assert view.floor_m == pytest.approx(np.quantile(view.cloud.points[:, 2], 0.001))
+
+
+def test_a_seed_chooses_the_points_that_are_kept_of_very_many(monkeypatch: pytest.MonkeyPatch) -> None:
+    seeds: list[int] = []
+    order = level.order_points
+
+    def ordered(points: np.ndarray, *, seed: int = 0) -> np.ndarray:
+        seeds.append(seed)
+        return order(points, seed=seed)
+
+    monkeypatch.setattr("gfp_grasp.level.order_points", ordered)
+    make_level_view(toy_completion().detection, seed=7)
+    make_level_view(toy_completion().detection)
+    assert (seeds[0], seeds[2]) == (7, 0)
 
 
 def test_fewer_than_twenty_points_are_too_few() -> None:
