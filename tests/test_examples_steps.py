@@ -173,6 +173,7 @@ def test_a_class_of_urns_is_made_of_a_folder_and_one_more_is_completed(
     np.testing.assert_allclose(named.pop("viewpoint"), (0.45, -0.35, 0.35))
     assert named == {"config": CompleteConfig(library=library)}
     assert len(points) > 500
+    assert np.linalg.norm(points[:, :2], axis=1).max() < 0.05  # of the urn, not of the table
     told = capsys.readouterr().out
     assert "completed as urn, watertight: True" in told
     assert Path("urn.glb").is_file()
