@@ -5,14 +5,14 @@ import pytest
 
 from gfp_grasp.bench.registration import RegistrationConfig, _errors, bench_registration
 from gfp_grasp.errors import InvalidOption
-from gfp_grasp.primitives import load_primitive
+from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.train.views import render_views, shape_source
 from gfp_grasp.transforms import make_T, rotation_about
 from gfp_grasp.types import FittedPrimitive
 
 
 def test_turn_and_shift_of_a_fit_are_its_errors() -> None:
-    view, primitive = render_views(shape_source("mug", 7), num_views=1)[0], load_primitive("mug")
+    view, primitive = render_views(shape_source("mug", 7), num_views=1)[0], PrimitiveLibrary.shipped().primitive("mug")
     still = np.zeros(len(primitive.modes))
     right = _errors(FittedPrimitive(primitive, view.T_world_object, np.ones(3), still, 0.0), view, primitive)
     R = rotation_about(view.T_world_object[:3, 2], np.radians(30.0))

@@ -14,7 +14,7 @@ from gfp_grasp.collision.fidelity import ball_radii_m, barycentric_hold, widest_
 from gfp_grasp.collision.levels import groups_of, merge_tree
 from gfp_grasp.collision.parts import PartFaces, volume_m3
 from gfp_grasp.errors import InvalidOption
-from gfp_grasp.primitives import load_primitive
+from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.types import CompletedShape, ConvexPart, FittedPrimitive, GenericPrimitive
 
 
@@ -76,7 +76,7 @@ def test_a_budget_is_met_exactly(parts, vertices):
 
 @pytest.mark.parametrize("category", ["cup", "mug", "bottle"])
 def test_fewer_parts_of_a_shipped_primitive_are_farther_off(category):
-    template = load_primitive(category)
+    template = PrimitiveLibrary.shipped().primitive(category)
     assert len(template.part_errors_m) == len(template.parts) == len(template.part_merges) + 1
     few, many = (collision_of(as_it_is(template), config=CollisionConfig(max_parts=n)) for n in (24, 64))
     assert len(few.parts) <= 24
@@ -85,7 +85,7 @@ def test_fewer_parts_of_a_shipped_primitive_are_farther_off(category):
 
 
 def test_a_tolerance_takes_as_few_parts_as_keep_it():
-    template = load_primitive("mug")
+    template = PrimitiveLibrary.shipped().primitive("mug")
     counts = []
     for tolerance_m in (0.004, 0.002):
         found = collision_of(as_it_is(template), config=CollisionConfig(max_parts=128, tolerance_m=tolerance_m))
@@ -152,14 +152,16 @@ def test_a_loose_tolerance_never_asks_coacd_where_a_finer_level_keeps_the_inside
 
     monkeypatch.setattr("gfp_grasp.collision.choice.decompose", refuse)
     for category in ("cup", "mug"):
-        found = collision_of(as_it_is(load_primitive(category)), config=CollisionConfig(tolerance_m=0.05))
+        found = collision_of(
+            as_it_is(PrimitiveLibrary.shipped().primitive(category)), config=CollisionConfig(tolerance_m=0.05)
+        )
         assert found.notes["ball_left_m"] > 0.8 * found.notes["ball_m"]  # type: ignore[operator]
         assert len(found.parts) < 40
 
 
 def test_of_few_parts_as_many_are_taken_as_there_may_be_and_not_the_hull():
     for category in ("cup", "mug"):
-        template = load_primitive(category)
+        template = PrimitiveLibrary.shipped().primitive(category)
         for most in (6, 8, 16):
             assert _levels(template, template.vertices, CollisionConfig(max_parts=most)) == [most]
 

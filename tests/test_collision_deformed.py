@@ -13,7 +13,7 @@ from gfp_grasp.collision.deformed import _barycentric, _on_surface, _thinned
 from gfp_grasp.collision.fidelity import union_error_m
 from gfp_grasp.collision.parts import PartFaces, volume_m3, within_parts
 from gfp_grasp.errors import DecompositionFailed, InvalidMesh
-from gfp_grasp.primitives import load_primitive
+from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.types import CompletedShape, ConvexPart, FittedPrimitive, GenericPrimitive, Symmetry, Variant
 
 OUTER, INNER, FLOOR, HEIGHT = 0.04, 0.036, 0.004, 0.1
@@ -271,7 +271,7 @@ def test_carried_parts_are_kept_with_a_warning_where_coacd_fails(monkeypatch):
 
 
 def shipped(category: str) -> GenericPrimitive:
-    found = load_primitive(category)
+    found = PrimitiveLibrary.shipped().primitive(category)
     assert found.parts
     return found
 

@@ -19,7 +19,7 @@ from gfp_grasp.deform import (
 )
 from gfp_grasp.deform.patches import Patches, blend
 from gfp_grasp.meshes import vertex_normals
-from gfp_grasp.primitives import load_primitive
+from gfp_grasp.primitives import PrimitiveLibrary
 
 EYE = np.array([0.5, -0.3, 0.4])
 
@@ -41,7 +41,7 @@ def body():
 
 
 def test_the_unit_is_a_share_of_the_size_and_30_mm_for_the_shipped_cup(body):
-    assert patch_unit_m(load_primitive("cup")) == pytest.approx(0.030, abs=1e-4)
+    assert patch_unit_m(PrimitiveLibrary.shipped().primitive("cup")) == pytest.approx(0.030, abs=1e-4)
     assert patch_unit_m(body) == pytest.approx(0.3248 * np.cbrt(0.08 * 0.05 * 0.1))
     large = replace(body, vertices=40 * body.vertices, modes=40 * body.modes)
     assert patch_unit_m(large) == pytest.approx(40 * patch_unit_m(body))

@@ -13,7 +13,7 @@ from gfp_grasp.complete import complete_to_mesh
 from gfp_grasp.completion import Completion
 from gfp_grasp.errors import InvalidMesh
 from gfp_grasp.meshes import load_mesh
-from gfp_grasp.primitives import load_primitive
+from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.shapes import make_shape, split_seeds
 from gfp_grasp.transforms import rotation_about
 from gfp_grasp.types import ConvexPart
@@ -100,7 +100,7 @@ def test_a_block_stands_and_a_leaning_one_falls():
 
 
 def test_a_mug_hangs_by_its_handle_and_its_hull_does_not():
-    mug = load_primitive("mug")
+    mug = PrimitiveLibrary.shipped().primitive("mug")
     mesh = trimesh.Trimesh(mug.vertices, mug.faces, process=False)
     hole = handle_hole(mesh, mug.on_region("handle"))
     assert hole is not None

@@ -9,7 +9,7 @@ from scipy.spatial import KDTree
 from gfp_grasp.bench.methods import view_object
 from gfp_grasp.detect import detect_single
 from gfp_grasp.level import make_level_view
-from gfp_grasp.primitives import load_kinds, load_primitive
+from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.register import FitConfig, RefineConfig, fit_best, fit_primitive
 from gfp_grasp.register.occlusion import cut_off
 from gfp_grasp.register.posterior import evaluate_costs, linearise, shape_model
@@ -29,7 +29,7 @@ def _detection(category: str, index: int = 0, *, protocol: str = "standard", see
 
 
 def test_states_are_refined_side_by_side_as_they_are_alone():
-    primitive, evidence = load_primitive("cup"), make_level_view(_detection("cup"))
+    primitive, evidence = PrimitiveLibrary.shipped().primitive("cup"), make_level_view(_detection("cup"))
     beginnings = make_starts(primitive, evidence, ("upright", "lying"))
     together = refine(beginnings, primitive, evidence)
     alone = [refine([state], primitive, evidence)[0] for state in beginnings]
@@ -41,7 +41,7 @@ def test_states_are_refined_side_by_side_as_they_are_alone():
 
 
 def test_with_few_modes_the_others_stay_at_the_mean():
-    primitive, evidence = load_primitive("cup"), make_level_view(_detection("cup"))
+    primitive, evidence = PrimitiveLibrary.shipped().primitive("cup"), make_level_view(_detection("cup"))
     state = refine(make_starts(primitive, evidence, ("upright",))[:1], primitive, evidence, RefineConfig(num_modes=4))[
         0
     ]
@@ -58,7 +58,7 @@ def test_the_nearest_of_few_samples_is_that_of_a_tree():
 
 
 def test_what_the_class_says_worse_than_its_kind_is_the_kinds():
-    cup, stemmed = load_kinds("cup")[0], load_primitive("cup.stemmed")
+    cup, stemmed = PrimitiveLibrary.shipped().members_of("cup")[0], PrimitiveLibrary.shipped().primitive("cup.stemmed")
     index = [make_shape("cup", seed).kind for seed in split_seeds("cup", "val")].index("stemmed")
     evidence = make_level_view(_detection("cup", index))
     assert fit_best(evidence, [(cup, 0.0), (stemmed, 2.5)]).primitive is stemmed
@@ -67,7 +67,7 @@ def test_what_the_class_says_worse_than_its_kind_is_the_kinds():
 
 @pytest.mark.parametrize("ellipticity", [None, 0.001])
 def test_the_gradient_of_the_priors_is_that_of_the_cost(ellipticity):
-    primitive, evidence = load_primitive("bottle"), make_level_view(_detection("bottle"))
+    primitive, evidence = PrimitiveLibrary.shipped().primitive("bottle"), make_level_view(_detection("bottle"))
     # Without points and free space, whose correspondences jump, the cost is smooth.
     config = RefineConfig(effective_points=1e-9, free_space=False, support=False, ellipticity=ellipticity)
     state = replace(
@@ -96,7 +96,7 @@ def test_the_gradient_of_the_priors_is_that_of_the_cost(ellipticity):
 
 
 def test_ellipticity_is_the_second_harmonic_of_the_radius():
-    primitive = load_primitive("cup")
+    primitive = PrimitiveLibrary.shipped().primitive("cup")
     gram = ellipticity_gram(primitive)
 
     def ellipticity_m(scale) -> float:
@@ -108,7 +108,11 @@ def test_ellipticity_is_the_second_harmonic_of_the_radius():
     # x longer and y shorter by 5 %: the radius swings by 5 % of itself, narrower towards the foot.
     assert 0.7 * 0.05 * radius < ellipticity_m((1.05, 0.95, 1)) < 1.1 * 0.05 * radius
     assert ellipticity_m((1.2, 1.2, 0.7)) == pytest.approx(1.2 * ellipticity_m((1, 1, 1)), rel=1e-9)
-    assert circular_share(load_primitive("mug"), 0.0006) > circular_share(load_primitive("bottle"), 0.0006) > 0.3
+    assert (
+        circular_share(PrimitiveLibrary.shipped().primitive("mug"), 0.0006)
+        > circular_share(PrimitiveLibrary.shipped().primitive("bottle"), 0.0006)
+        > 0.3
+    )
 
 
 def test_a_round_bottle_is_found_round_and_an_oval_one_is_not():
@@ -117,7 +121,7 @@ def test_a_round_bottle_is_found_round_and_an_oval_one_is_not():
         width, depth = np.ptp(make_shape("bottle", seed).mesh.vertices, axis=0)[:2]
         if abs(width / depth - 1) < 0.005 or abs(width / depth - 1) > 0.15:
             seeds[abs(width / depth - 1) < 0.005].append(index)
-    primitive = load_primitive("bottle")
+    primitive = PrimitiveLibrary.shipped().primitive("bottle")
     gram = ellipticity_gram(primitive)
 
     def ellipticity_m(index: int) -> float:
@@ -133,7 +137,7 @@ def test_a_round_bottle_is_found_round_and_an_oval_one_is_not():
 def test_a_cup_behind_a_board_is_completed_to_its_true_width_beyond_the_edge_of_the_board(index):
     seen = _detection("cup", index, protocol="hidden", seed=index)
     whole = np.ptp(make_shape("cup", split_seeds("cup", "val")[index]).mesh.vertices, axis=0)
-    fit = fit_primitive(seen, load_primitive("cup"))
+    fit = fit_primitive(seen, PrimitiveLibrary.shipped().primitive("cup"))
     R = fit.T_world_object[:3, :3]
     assert (np.ptp(seen.cloud.points @ R, axis=0) / whole)[:2].min() < 0.8
     # Where free space is believed beyond the edge, they come out 4 to 9 % narrower.
@@ -159,7 +163,7 @@ def test_the_edge_of_what_hides_is_found_and_says_on_which_side():
 
 
 def test_a_whole_object_is_not_taken_for_cut_off():
-    primitive = load_primitive("cup")
+    primitive = PrimitiveLibrary.shipped().primitive("cup")
     for index in range(4):
         evidence = make_level_view(_detection("cup", index))
         state = refine(make_starts(primitive, evidence, ("upright",))[:1], primitive, evidence)

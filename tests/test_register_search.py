@@ -22,7 +22,6 @@ from gfp_grasp.register import (
     icp_config,
     pcrnet,
     pcrnet_config,
-    primitive_size_m,
     pruning,
 )
 from gfp_grasp.register import fit as fit_module
@@ -419,13 +418,11 @@ def test_an_object_a_hundred_times_as_large_is_fitted_as_well():
 def test_costs_of_rivals_are_in_one_unit_which_a_rival_of_unusual_size_does_not_change(monkeypatch):
     _, evidence = _half_seen_wedge()
     wedge = wedge_primitive()
-    size_m = primitive_size_m(wedge)
+    size_m = wedge.size_m
     assert size_m == pytest.approx(float(np.cbrt(np.ptp(wedge.vertices, axis=0).prod())))
     plate = replace(wedge, vertices=wedge.vertices * (1, 1, 1e-6))
     extents = np.ptp(plate.vertices, axis=0)
-    assert primitive_size_m(plate) == pytest.approx(
-        float(np.cbrt(0.1 * extents[0] * extents[1] * np.hypot(*extents[:2])))
-    )
+    assert plate.size_m == pytest.approx(float(np.cbrt(0.1 * extents[0] * extents[1] * np.hypot(*extents[:2]))))
     units = []
 
     def searched(evidence, candidates, config):

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gfp_grasp.camera import cloud_of, mask_of_points, pixels_of
+from gfp_grasp.camera import cloud_of, mask_of_points
 from gfp_grasp.errors import InvalidView
 from gfp_grasp.level import make_level_view
 from gfp_grasp.transforms import apply_T, make_T, rotation_about
@@ -15,6 +15,7 @@ from gfp_grasp.types import (
     PointCloud,
     RangeImage,
     SupportPlane,
+    pixels_of,
 )
 
 T_WORLD_SENSOR = make_T(rotation_about((1.0, 2.0, 3.0), 0.7), (0.4, -0.7, 1.9))
@@ -118,7 +119,7 @@ def test_a_range_image_that_makes_no_sense_is_refused(changes, message):
 
 def test_pixels_of_points_are_those_that_round_to_a_pixel_of_the_view():
     points = np.concatenate([_beam(4.4, 80.4, 6.0), _beam(60.0, 0.0, 6.0), _beam(-1.1, 359.6, 9.0)])
-    index, flat, range_m = pixels_of(points, _scan())
+    index, flat, _, range_m = pixels_of(points, _scan())
     assert index.tolist() == [0, 2]
     assert flat.tolist() == [1 * 360 + 10, 3 * 360 + 90]
     assert range_m == pytest.approx([6.0, 9.0])

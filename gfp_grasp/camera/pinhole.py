@@ -5,7 +5,7 @@ from numpy.typing import ArrayLike
 
 from gfp_grasp.errors import InvalidOption, InvalidView, TooFewPoints
 from gfp_grasp.transforms import invert_T, look_at
-from gfp_grasp.types import DepthImage, PointCloud, View
+from gfp_grasp.types import DepthImage, PointCloud, View, pixels_of
 
 # Real drivers round or register their points: the captures at hand stay below 0.1 px. A wrong layout is off by many.
 LARGEST_RESIDUAL_PX = 1.0
@@ -88,29 +88,9 @@ def _difference(points: np.ndarray, axis: int, max_jump_m: float) -> np.ndarray:
     return np.where(np.isnan(ahead) | np.isnan(behind), lone, (ahead + behind) / 2)
 
 
-def pixels_of(points: np.ndarray, view: View) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """The pixels of a view that points fall on.
-
-    Args:
-        points: (n, 3) m, world.
-        view: The view.
-
-    Returns:
-        Index (m,) of the points that fall on a pixel, the flat index (m,) of that pixel in (h, w), and the points'
-        ranges (m,) m.
-    """
-    pixels, range_m = view.project(points)
-    height, width = view.shape
-    with np.errstate(invalid="ignore"):
-        column, row = np.rint(pixels).T
-        inside = np.flatnonzero((row >= 0) & (row < height) & (column >= 0) & (column < width))
-    flat = (row[inside] * width + column[inside]).astype(np.int64)
-    return inside, flat, range_m[inside]
-
-
 def mask_of_points(points: np.ndarray, view: View, *, tolerance_m: float) -> np.ndarray:
     """(h, w) bool: pixels of a view in which points (n, 3) m, world, lie, within a tolerance of the range it saw."""
-    _, pixel, range_m = pixels_of(points, view)
+    _, pixel, _, range_m = pixels_of(points, view)
     seen = view.free_range_m.ravel()[pixel]
     agrees = (seen > 0) & (np.abs(seen - range_m) < tolerance_m)
     mask = np.zeros(view.free_range_m.size, dtype=bool)

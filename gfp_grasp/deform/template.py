@@ -14,18 +14,15 @@ from gfp_grasp.types import FittedPrimitive, GenericPrimitive, LevelView
 NUM_PATCHES = 64
 NUM_SOURCE = 64  # N, points of a patch of the primitive
 _UNIT_SHARE = 0.3248  # of the primitive's size: 30 mm on the shipped cup, about the radius of its patches
-_LEAST_EXTENT = 0.1  # of the diagonal: what is flatter has patches as large as if it were this thick
 
 
 def patch_unit_m(primitive: GenericPrimitive) -> float:
     """The length, m, that is one unit to the networks and that all lengths of the deformation are shares of.
 
-    It is a share of the size of the mean mesh, which is the geometric mean of its extents: about the radius of a patch,
-    be it of something compact, long or flat. The shipped cup has 30 mm, a car has 0.75 m.
+    It is a share of the primitive's size: about the radius of a patch, be it of something compact, long or flat. The
+    shipped cup has 30 mm, a car has 0.75 m.
     """
-    extents = np.ptp(primitive.vertices, axis=0)
-    extents = np.maximum(extents, _LEAST_EXTENT * np.linalg.norm(extents))
-    return _UNIT_SHARE * float(np.cbrt(extents.prod()))
+    return _UNIT_SHARE * primitive.size_m
 
 
 @lru_cache(maxsize=32)

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import trimesh
 
-from gfp_grasp.camera import apply_sensor, intrinsics, pixels_of, render_depth, sample_viewpoint
+from gfp_grasp.camera import apply_sensor, intrinsics, render_depth, sample_viewpoint
 from gfp_grasp.complete import Completion
 from gfp_grasp.completers import Completer, Oracle, needs_class
 from gfp_grasp.detect import Detector
@@ -18,7 +18,7 @@ from gfp_grasp.errors import AssetMissing, GfpGraspError, NothingDetected
 from gfp_grasp.recognition import recognise
 from gfp_grasp.scenes import TARGET, World
 from gfp_grasp.transforms import apply_T, make_T, rotation_about
-from gfp_grasp.types import CollisionMesh, ConvexPart, DepthImage, Detection, TrueObject
+from gfp_grasp.types import CollisionMesh, ConvexPart, DepthImage, Detection, TrueObject, pixels_of
 
 _UP = np.array([0.0, 0.0, 1.0])
 # The camera looks at this share of the object's height.

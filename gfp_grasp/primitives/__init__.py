@@ -2,7 +2,7 @@
 
 from gfp_grasp.primitives.build import BuildConfig, build_primitive, with_parts
 from gfp_grasp.primitives.evaluate import PrimitiveReport, fit_full_surface, measure_primitive
-from gfp_grasp.primitives.library import PrimitiveLibrary, list_primitives, load_kinds, load_primitive
+from gfp_grasp.primitives.library import PrimitiveLibrary
 from gfp_grasp.primitives.pose import bring_into_one_pose
 from gfp_grasp.primitives.store import read_primitive, save_primitive
 
@@ -13,9 +13,6 @@ __all__ = [
     "bring_into_one_pose",
     "build_primitive",
     "fit_full_surface",
-    "list_primitives",
-    "load_kinds",
-    "load_primitive",
     "measure_primitive",
     "read_primitive",
     "save_primitive",

@@ -166,18 +166,3 @@ def _read(path: Path, mtime_ns: int, size: int) -> GenericPrimitive:
 @lru_cache(maxsize=1024)
 def _read_spec(path: Path, mtime_ns: int, size: int) -> CategorySpec:
     return read_spec(path)
-
-
-def load_primitive(name: str) -> GenericPrimitive:
-    """A primitive that ships with the package; see PrimitiveLibrary.primitive."""
-    return PrimitiveLibrary.shipped().primitive(name)
-
-
-def list_primitives() -> tuple[str, ...]:
-    """Classes whose primitives ship with the package."""
-    return PrimitiveLibrary.shipped().categories
-
-
-def load_kinds(category: str) -> tuple[GenericPrimitive, ...]:
-    """The shipped primitive of a class and those of its subcategories; see PrimitiveLibrary.members_of."""
-    return PrimitiveLibrary.shipped().members_of(category)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 from gfp_grasp.register.config import FitConfig, RefineConfig, icp_config, pcrnet_config
 from gfp_grasp.register.fit import fit_best, fit_primitive, part_is_seen
 from gfp_grasp.register.starts import make_starts
-from gfp_grasp.register.state import PoseShape, primitive_size_m
+from gfp_grasp.register.state import PoseShape
 
 if TYPE_CHECKING:
     from gfp_grasp.register.pcrnet import PCRNet, mlp, network_input, rotation_of
@@ -24,7 +24,6 @@ __all__ = [
     "network_input",
     "part_is_seen",
     "pcrnet_config",
-    "primitive_size_m",
     "rotation_of",
 ]
 

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 from typing import Literal
 
 from gfp_grasp.errors import InvalidOption
-from gfp_grasp.register.state import primitive_size_m
 from gfp_grasp.types import GenericPrimitive
 
 
@@ -67,7 +66,7 @@ class RefineConfig:
 
     def unit_of(self, primitive: GenericPrimitive) -> float:
         """Length, m, of which the other lengths are shares for a primitive."""
-        return primitive_size_m(primitive) if self.unit_m is None else self.unit_m
+        return primitive.size_m if self.unit_m is None else self.unit_m
 
 
 _QUICK = RefineConfig(steps=(0.208, 0.156, 0.104, 0.083, 0.0625), num_points=100, num_samples=400, num_modes=5)

@@ -13,7 +13,7 @@ from gfp_grasp.register.config import FitConfig
 from gfp_grasp.register.occlusion import blocking_cost, cut_off
 from gfp_grasp.register.pruning import Search, search_starts, total_cost
 from gfp_grasp.register.refine import evaluate_free_space, refine
-from gfp_grasp.register.state import PoseShape, primitive_size_m, surface_samples
+from gfp_grasp.register.state import PoseShape, surface_samples
 from gfp_grasp.register.terms import circular_share
 from gfp_grasp.transforms import make_T
 from gfp_grasp.types import Detection, FittedPrimitive, GenericPrimitive, LevelView
@@ -27,7 +27,7 @@ _ON_PART = 0.081
 
 def part_is_seen(fit: FittedPrimitive, part: str, evidence: LevelView) -> bool:
     """Whether points support an optional part of the fit: they lie near it, and away from the rest of the body."""
-    samples, size_m = surface_samples(fit.primitive), primitive_size_m(fit.primitive)
+    samples, size_m = surface_samples(fit.primitive), fit.primitive.size_m
     local = samples.local(fit.coefficients) * fit.scale
     world = local @ fit.T_world_object[:3, :3].T + fit.T_world_object[:3, 3]
     on_part = fit.primitive.on_region(part)[fit.primitive.faces[samples.face]].all(axis=1)
@@ -81,7 +81,7 @@ def fit_best(
         FitDiverged: No primitive reached config.max_residual.
     """
     # One unit for all of them: costs of primitives can be compared only where they take the same misfit for likely.
-    config = config.with_unit(float(np.median([primitive_size_m(primitive) for primitive, _ in candidates])))
+    config = config.with_unit(float(np.median([primitive.size_m for primitive, _ in candidates])))
     found = search_starts(evidence, candidates, config)
     if config.occlusion and config.refine and _is_cut_off(found, evidence, config):
         seen = evidence

@@ -12,7 +12,7 @@ from gfp_grasp.register.config import FitConfig
 from gfp_grasp.register.occlusion import blocking_cost, truncation_cost
 from gfp_grasp.register.refine import evaluate_states, refine
 from gfp_grasp.register.starts import make_starts
-from gfp_grasp.register.state import PoseShape, primitive_size_m
+from gfp_grasp.register.state import PoseShape
 from gfp_grasp.types import GenericPrimitive, LevelView
 
 _HEAD_STEPS = 2  # quick steps that every start takes
@@ -135,7 +135,7 @@ def _tried(primitive: GenericPrimitive, prior_cost: float, evidence: LevelView, 
 
 def _pruned(search: Search, evidence: LevelView, config: FitConfig) -> Search:
     """The leaders among the better share of the starts, after the rest of the quick steps."""
-    states, tail, size_m = search.states, config.quick.steps[_HEAD_STEPS:], primitive_size_m(search.primitive)
+    states, tail, size_m = search.states, config.quick.steps[_HEAD_STEPS:], search.primitive.size_m
     if tail:
         kept = distinct_leaders(states, max(config.num_kept, round(config.kept_share * len(states))), size_m)
         quick = replace(config.quick, steps=tail)

@@ -10,18 +10,6 @@ import numpy as np
 
 from gfp_grasp.types import GenericPrimitive
 
-_LEAST_EXTENT = 0.1  # of the diagonal: a flatter primitive counts as this thick
-
-
-def primitive_size_m(primitive: GenericPrimitive) -> float:
-    """The size of a primitive, m, in which the registration measures: the geometric mean of its mean mesh's extents.
-
-    The shipped cup, mug and bottle have 92, 99 and 97 mm; a car has 2.3 m.
-    """
-    extents = np.ptp(primitive.vertices, axis=0)
-    extents = np.maximum(extents, _LEAST_EXTENT * np.linalg.norm(extents))
-    return float(np.cbrt(extents.prod()))
-
 
 @dataclass(frozen=True, eq=False)
 class SurfaceSamples:

@@ -39,7 +39,17 @@ from gfp_grasp.types.result import (
     Outcome,
     TrueObject,
 )
-from gfp_grasp.types.views import LIDAR, SENSORS, TABLETOP, DepthImage, RangeImage, SensorProfile, View, get_sensor
+from gfp_grasp.types.views import (
+    LIDAR,
+    SENSORS,
+    TABLETOP,
+    DepthImage,
+    RangeImage,
+    SensorProfile,
+    View,
+    get_sensor,
+    pixels_of,
+)
 
 __all__ = [
     "BODY_REGIONS",
@@ -77,4 +87,5 @@ __all__ = [
     "default_density",
     "default_spec",
     "get_sensor",
+    "pixels_of",
 ]

@@ -9,7 +9,7 @@ import numpy as np
 
 from gfp_grasp.errors import InvalidCloud, InvalidView
 from gfp_grasp.types.arrays import checked_matrix, checked_vector, freeze
-from gfp_grasp.types.views import TABLETOP, SensorProfile, View
+from gfp_grasp.types.views import TABLETOP, SensorProfile, View, pixels_of
 
 
 @dataclass(frozen=True, eq=False)
@@ -144,17 +144,13 @@ class Silhouette:
             Index (t,) of the points in free space, and the displacement (t, 3) m that brings each onto the ray of the
             nearest pixel of the object, at the same range.
         """
-        pixels, range_m = self.view.project(points)
-        height, width = self.free_range_m.shape
-        with np.errstate(invalid="ignore"):
-            column, row = np.rint(pixels).T
-            inside = np.flatnonzero((row >= 0) & (row < height) & (column >= 0) & (column < width))
-        flat = (row[inside] * width + column[inside]).astype(np.int64)
-        violating = range_m[inside] + self.margin_m < self.free_range_m.ravel()[flat]
+        seen, flat, pixels, range_m = pixels_of(points, self.view)
+        violating = range_m + self.margin_m < self.free_range_m.ravel()[flat]
         offset = self.offset_px.reshape(2, -1)[:, flat[violating]]
-        moved = offset.any(axis=0)
-        index = inside[violating][moved]
-        there = self.view.unproject(pixels[index] + offset[::-1, moved].T, range_m[index])
+        moved = np.flatnonzero(violating)[offset.any(axis=0)]
+        offset = self.offset_px.reshape(2, -1)[:, flat[moved]]
+        index = seen[moved]
+        there = self.view.unproject(pixels[moved] + offset[::-1].T, range_m[moved])
         return index, there - points[index]
 
 

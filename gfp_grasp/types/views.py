@@ -317,3 +317,23 @@ def _with_pose(view: _V, name: str, T: np.ndarray) -> _V:
     other.__dict__.pop("_world_to_pixels", None)  # was computed from the pose before
     freeze(other, name, T)
     return other
+
+
+def pixels_of(points: np.ndarray, view: View) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """The pixels of a view that points fall on.
+
+    Args:
+        points: (n, 3) m, world.
+        view: The view.
+
+    Returns:
+        Index (m,) of the points that fall on a pixel, the flat index (m,) of that pixel in (h, w), where exactly they
+        fall (m, 2), column and row, and the points' ranges (m,) m.
+    """
+    pixels, range_m = view.project(points)
+    height, width = view.shape
+    with np.errstate(invalid="ignore"):
+        column, row = np.rint(pixels).T
+        inside = np.flatnonzero((row >= 0) & (row < height) & (column >= 0) & (column < width))
+    flat = (row[inside] * width + column[inside]).astype(np.int64)
+    return inside, flat, pixels[inside], range_m[inside]
