@@ -98,7 +98,7 @@ def test_a_truth_without_its_faces_is_no_truth(tmp_path: Path) -> None:
 
 def test_the_sample_that_ships_is_read_by_its_name() -> None:
     sample = read_capture("sample")
-    assert sample.name == "quickstart_mug.npz"
+    assert sample.name == "quickstart.npz"
     assert sample.view is not None or sample.points is not None
 
 

@@ -45,10 +45,6 @@ HEAVY = {
     "viser": ("view.",),
 }
 MODULES = sorted(PACKAGE.rglob("*.py"))
-# Imports past a face that are still there, as "room -> module": strike out what you mend, add nothing.
-PAST_FACES: set[str] = set()
-# Files that still name a class: strike out what you mend, add nothing.
-NAME_CLASSES: set[str] = set()
 MAY_NAME_CLASSES = ("shapes", "datasets", "demo")
 
 
@@ -89,8 +85,7 @@ def test_other_rooms_are_imported_only_through_their_init() -> None:
         for room in [path.relative_to(PACKAGE).parts[0].removesuffix(".py")]
         for past in _past_faces(path, room)
     }
-    new = {f"{offence} in {name}" for offence, name in offenders.items() if offence not in PAST_FACES}
-    assert not new, f"import these from the room's __init__, or export them there: {sorted(new)}"
+    assert not offenders, f"import these from the room's __init__, or export them there: {offenders}"
 
 
 def test_no_class_is_named_outside_of_what_makes_classes() -> None:
@@ -100,7 +95,6 @@ def test_no_class_is_named_outside_of_what_makes_classes() -> None:
         f"{path.relative_to(PACKAGE).as_posix()}:{line} {text!r}"
         for path in MODULES
         if path.relative_to(PACKAGE).parts[0] not in MAY_NAME_CLASSES
-        and path.relative_to(PACKAGE).as_posix() not in NAME_CLASSES
         for line, text in _strings(path)
         if _names_a_class(text, classes)
     }

@@ -18,7 +18,6 @@ from gfp_grasp.register import (
     icp_config,
     network_input,
     pcrnet_config,
-    primitive_size_m,
 )
 from gfp_grasp.register.fit import try_circular
 from gfp_grasp.register.occlusion import cut_off
@@ -144,9 +143,9 @@ def test_samples_of_the_surface_are_those_of_old() -> None:
     assert len(samples.mean) == 1500
     assert_known("surface samples", np.hstack([samples.local(np.array([0.5, -0.2, 0.1])), samples.weights]))
     assert_known("surface faces", samples.face)
-    assert primitive_size_m(primitive) == pytest.approx(float(np.cbrt(np.ptp(primitive.vertices, axis=0).prod())))
+    assert primitive.size_m == pytest.approx(float(np.cbrt(np.ptp(primitive.vertices, axis=0).prod())))
     flat = replace(primitive, vertices=primitive.vertices * [1, 1, 1e-3])
-    assert_known("size of what is flat", [primitive_size_m(flat)])
+    assert_known("size of what is flat", [flat.size_m])
 
 
 def test_a_shape_model_and_its_ellipticity_are_those_of_old() -> None:

@@ -144,7 +144,7 @@ def _kinds(header: dict[str, list[str]]) -> list[str]:
     return kinds
 
 
-SAMPLE, SAMPLE_FILE = "sample", "quickstart_mug.npz"
+SAMPLE, SAMPLE_FILE = "sample", "quickstart.npz"
 SUFFIXES = (".npz", ".npy", ".ply", ".pcd", ".xyz", ".txt", ".csv", ".obj")
 KEYS = "points | object_points_cam | depth_m and K | points_cam"
 _Z_UP = np.array([0.0, 0.0, 1.0])

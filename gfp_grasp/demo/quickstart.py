@@ -1,6 +1,6 @@
 """Makes the files that ship for the quick start: `python -m gfp_grasp.demo.quickstart` (or `make quickstart`).
 
-sim_scenes/quickstart_mug.npz is a capture of a procedural mug of the test split, rendered and put through the model of
+sim_scenes/quickstart.npz is a capture of a procedural mug of the test split, rendered and put through the model of
 a RealSense; sim_scenes/demo_parts.npz holds the convex parts of the demonstration's objects.
 """
 
