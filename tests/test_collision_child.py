@@ -73,6 +73,14 @@ def test_a_child_is_python_with_the_worker_in_a_session_and_an_environment_of_it
     assert environment["PATH"] == os.environ["PATH"]
 
 
+def test_a_child_has_a_minute_to_start(monkeypatch) -> None:
+    asked: list = []
+    monkeypatch.setattr(subprocess, "Popen", lambda *_, **__: _Process())
+    monkeypatch.setattr(Child, "ask", lambda self, *given: (asked.append(given), ({"memory_limit": True}, []))[1])
+    assert Child.start("coacd", 600).memory_limit_holds is True
+    assert asked == [(None, 60.0, None)]
+
+
 def test_a_child_that_cannot_be_started_or_says_nothing_leaves_nothing_open(monkeypatch) -> None:
     logs: list = []
 

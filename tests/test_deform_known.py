@@ -130,6 +130,8 @@ def test_what_the_network_is_told_of_a_fit_is_what_it_has_been_told(fit: FittedP
     assert_known("fit features of a wedge", told)
     assert told[3] == 4.0
     assert told[4] == -4.0
+    still = replace(primitive_of(l_body()), log_scale_cov=np.zeros((3, 3)))
+    np.testing.assert_allclose(fit_features(fit_of(still))[6:9], np.log(0.01))
     assert fit_features(fit_of(primitive_of(l_body())))[-2:].tolist() == [0.0, 0.0]
 
 

@@ -143,10 +143,10 @@ def test_a_weak_direction_is_kept_down_to_a_hundred_thousandth_of_the_variance()
 
 @pytest.mark.parametrize("orientation", ["any", "upright"])
 def test_members_are_turned_onto_the_most_central_one_as_ever(orientation: str) -> None:
-    members, faces = _members(4)
-    turns = [rotation_about((0, 0, 1), 0.9 * k) for k in range(4)]
+    members, faces = _members(3)
+    turns = [rotation_about((0, 0, 1), 0.9 * k) for k in range(3)]
     if orientation == "any":
-        turns = [rotation_about((1.0, 2.0, 0.5 - k), 0.7 * k) for k in range(4)]
+        turns = [rotation_about((1.0, 2.0, 0.5 - k), 0.7 * k) for k in range(3)]
     meshes = [trimesh.Trimesh(v @ R.T + 0.3, faces, process=False) for v, R in zip(members, turns, strict=True)]
     posed = bring_into_one_pose(meshes, orientation, _rng())
     for number, (mesh, before) in enumerate(zip(posed, meshes, strict=True)):
@@ -255,15 +255,15 @@ def test_starts_of_a_whole_fit_cover_what_the_symmetry_leaves_open(order: float,
 
 def test_figures_of_a_primitive_are_those_of_old() -> None:
     primitive, rng = toy_cup_primitive(), _rng(3)
-    held_out = [random_cup(rng) for _ in range(3)]
+    held_out = [random_cup(rng) for _ in range(2)]
     assert_known("specificity", np.array([specificity_m(primitive, _rng()), specificity_m(primitive, _rng(), count=7)]))
     seen: list[int] = []
     report = measure_primitive(
         primitive, held_out, seed=1, progress=lambda stream, total: (seen.append(total), stream)[1]
     )
     figures = report.figures()
-    assert seen == [3]
-    assert (figures["vertices"], figures["modes"], figures["held_out"]) == (len(primitive.vertices), 5, 3)
+    assert seen == [2]
+    assert (figures["vertices"], figures["modes"], figures["held_out"]) == (len(primitive.vertices), 5, 2)
     errors = [1e3 * fit_full_surface(primitive, mesh, seed=1)[1] for mesh in held_out]
     assert figures["generalization_mm"] == round(float(np.mean(errors)), 3)
     assert figures["generalization_median_mm"] == round(float(np.median(errors)), 3)
