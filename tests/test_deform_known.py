@@ -29,7 +29,7 @@ from gfp_grasp.deform import (
 )
 from gfp_grasp.deform.gfpnet import PatchAnswer, change_field
 from gfp_grasp.deform.patches import blend
-from gfp_grasp.deform.shape import _offsets_to, damp_until_solid, diffuse, patch_tensors
+from gfp_grasp.deform.shape import _blend_sigma, _offsets_to, damp_until_solid, diffuse, patch_tensors
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.meshes import vertex_normals
 from gfp_grasp.types import FittedPrimitive, LevelView
@@ -79,6 +79,17 @@ def test_patches_hold_what_they_have_held(fit: FittedPrimitive, view: LevelView)
     assert_known("patch layout", np.hstack([index, weights]))
     moved = 0.1 * np.sin(np.arange(patches.source.size)).reshape(patches.source.shape)
     assert_known("blend", np.column_stack(blend(patches, moved, len(fit.primitive.vertices))))
+
+
+def test_vertices_that_no_patch_holds_stay_and_are_of_unknown_place(fit: FittedPrimitive, view: LevelView) -> None:
+    patches, num_vertices = _patches(fit, view), len(fit.primitive.vertices)
+    moved, weight = blend(patches, np.ones(patches.source.shape), num_vertices + 3)
+    assert moved.shape == (num_vertices + 3, 3)
+    assert not moved[-3:].any()
+    assert not weight[-3:].any()
+    sigma_m = _blend_sigma(patches, np.zeros(patches.index.shape), num_vertices + 3)
+    assert np.isnan(sigma_m[-3:]).all()
+    np.testing.assert_allclose(sigma_m[:-3], patches.unit_m)
 
 
 def test_template_points_are_mirrored_as_ever(fit: FittedPrimitive, view: LevelView) -> None:
