@@ -8,6 +8,7 @@ import trimesh
 from recorded_calls import Recorder, recorded, run
 
 from gfp_grasp.collision import DecomposeConfig
+from gfp_grasp.meshes import every_suffix
 from gfp_grasp.types import CollisionMesh, ConvexPart
 
 
@@ -68,6 +69,19 @@ def test_a_mesh_that_is_inside_out_is_turned(
     assert run("decompose", tmp_path / "box.stl", "-o", tmp_path / "box.xml") == 0
     assert split.only[0][0].volume == pytest.approx(0.05 * 0.04 * 0.03)
     assert export.only[1]["shell_thickness_m"] is None
+
+
+def test_any_mesh_that_trimesh_reads_is_taken(split: Recorder, export: Recorder, box: trimesh.Trimesh) -> None:
+    read: list[tuple[str, ...]] = []
+
+    def load(path: Path, *, suffixes: tuple[str, ...] = ()) -> trimesh.Trimesh:
+        read.append((path.name, *suffixes))
+        return box
+
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("gfp_grasp.meshes.load_mesh", load)
+        assert run("decompose box.xaml -o box.xml") == 0
+    assert read == [("box.xaml", *every_suffix())]
 
 
 def test_an_open_mesh_has_the_mass_of_a_shell_and_that_is_told(

@@ -22,7 +22,6 @@ _MistakeInWords = cast(
 )
 
 app = typer.Typer(
-    name="gfp-grasp",
     help="One depth view in; completed watertight mesh, convex collision parts and a grasp score out.",
     no_args_is_help=True,
     pretty_exceptions_enable=False,
