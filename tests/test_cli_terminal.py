@@ -32,18 +32,18 @@ def test_an_error_is_one_line_whatever_is_in_it(capsys: pytest.CaptureFixture[st
 def test_a_bar_counts_what_passes_and_lets_it_through(capsys: pytest.CaptureFixture[str]) -> None:
     assert list(terminal.track("views")(iter("abc"), 3)) == ["a", "b", "c"]
     told = capsys.readouterr().err
-    assert "views" in told
+    assert "views" in told.split()
     assert "3/3" in told
 
 
 def test_the_bar_of_a_training_tells_step_and_loss(capsys: pytest.CaptureFixture[str]) -> None:
     with _bar("pcrnet", 8):
         pass
-    assert "pcrnet: data" in capsys.readouterr().err
+    assert capsys.readouterr().err.split()[:2] == ["pcrnet:", "data"]
     with _bar("pcrnet", 8) as report:
         report(3, 0.12345)
     told = capsys.readouterr().err
-    assert "pcrnet: loss 0.1235" in told
+    assert told.split()[:3] == ["pcrnet:", "loss", "0.1235"]
     assert "3/8" in told
 
 
@@ -51,7 +51,7 @@ def test_stages_are_named_beside_a_limit_that_runs(capsys: pytest.CaptureFixture
     with terminal.stages(90.5) as tell:
         tell("cutting")
     told = capsys.readouterr().err
-    assert "cutting" in told
+    assert "cutting" in told.split()
     assert "0 of 90.5 s" in told
 
 

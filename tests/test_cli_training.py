@@ -115,9 +115,14 @@ def test_parts_are_made_of_the_named_or_of_all_and_their_errors_are_in_millimetr
 
 @pytest.mark.parametrize("shapes", [True, False])
 def test_prototypes_hand_on_every_option(
-    shapes: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], named_bars: list[str]
+    shapes: bool,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    named_bars: list[str],
+    tmp_path: Path,
 ) -> None:
-    folder = PrimitiveLibrary.shipped().folders[0]
+    folder = tmp_path / "[b]"
+    folder.symlink_to(PrimitiveLibrary.shipped().folders[0])
     make = recorded(monkeypatch, "gfp_grasp.train.with_prototypes", MADE)
     save = recorded(monkeypatch, "gfp_grasp.primitives.save_primitive")
     members = recorded(monkeypatch, "gfp_grasp.train.procedural_members", ["mesh"])
@@ -128,7 +133,7 @@ def test_prototypes_hand_on_every_option(
     assert named == {"meshes": ["mesh"] if shapes else None, "seed": 6}
     assert members.calls == ([(("mug",), {})] if shapes else [])
     assert save.only == ((MADE, folder), {})
-    assert "prototypes of mug" in capsys.readouterr().out
+    assert "[b]: prototypes of mug" in capsys.readouterr().out.replace("\n", "")
     assert named_bars == ["prototypes: 1"]
 
 

@@ -93,12 +93,9 @@ def _simulated_jobs(out: Path, config: CompleteConfig | None, seed: int) -> list
 def _recorded_jobs(
     recordings: tuple[Path, ...], out: Path, category: str | None, config: CompleteConfig | None, seed: int
 ) -> list[tuple[str, Job]]:
-    captures = [read_capture(path) for path in recordings]
+    captures = [(read_capture(path), path) for path in recordings]
     scene = partial(recorded_scene, category=category, config=config, seed=seed)
-    return [
-        (capture.name, partial(scene, capture, folder=out / path.stem))
-        for capture, path in zip(captures, recordings, strict=True)
-    ]
+    return [(capture.name, partial(scene, capture, folder=out / path.stem)) for capture, path in captures]
 
 
 def _table(scene: DemoScene) -> Table:
