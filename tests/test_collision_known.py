@@ -14,6 +14,7 @@ from revolved import cup
 from test_collision_deformed import CUP, TEMPLATE, completed, primitive, tapered
 from toy_bodies import l_body, refined
 
+from gfp_grasp import collision
 from gfp_grasp.collision import CollisionConfig, DecomposeConfig, attempts, choice, decomposition, deform_parts
 from gfp_grasp.collision.choice import _ball, _measured, _said
 from gfp_grasp.collision.convex import _directions, convex_part, convex_parts, fewer_corners, needed_corners
@@ -305,3 +306,14 @@ def test_points_beyond_ten_metres_are_what_float32_leaves_of_them(offset_m: floa
     points = _ball_points() + offset_m
     assert (np.abs(attempts.in_float32(points) - points).max() > 0) == is_coarse
     assert len(attempts.in_float32(np.zeros((0, 3)))) == 0
+
+
+def test_every_name_of_the_room_leads_to_what_bears_it() -> None:
+    assert {*collision.__all__} <= {*dir(collision)}
+    for name in collision.__all__:
+        found = getattr(collision, name)
+        if callable(found):
+            assert found.__name__ == name
+            assert found.__module__.startswith("gfp_grasp.collision")
+    with pytest.raises(AttributeError, match="nothing"):
+        collision.nothing  # noqa: B018  # pyright: ignore[reportAttributeAccessIssue]

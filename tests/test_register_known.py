@@ -23,7 +23,7 @@ from gfp_grasp.register.fit import try_circular
 from gfp_grasp.register.occlusion import _straight_edge, cut_off
 from gfp_grasp.register.posterior import shape_model
 from gfp_grasp.register.refine import evaluate_states, refine
-from gfp_grasp.register.starts import make_starts
+from gfp_grasp.register.starts import _frame, make_starts
 from gfp_grasp.register.state import surface_samples
 from gfp_grasp.register.terms import circular_share, ellipticity_gram
 from gfp_grasp.types import TABLETOP, LevelView
@@ -135,6 +135,15 @@ def test_starts_stand_and_lie_where_they_have_been(cup_view: LevelView) -> None:
         assert_known(f"starts {name}", _numbers(states))
         straight = replace(cup_view, cloud=replace(cup_view.cloud, viewpoint=None))
         assert_known(f"starts {name} unseen", _numbers(make_starts(primitive, straight, ("upright", "lying"))))
+
+
+def test_a_frame_faces_as_nearly_as_its_axis_lets_it() -> None:
+    R = _frame(np.array([0.0, 0.6, 0.8]), np.array([0.3, 0.5, 0.1]))
+    np.testing.assert_allclose(R[:, 2], [0.0, 0.6, 0.8])
+    np.testing.assert_allclose(R.T @ R, np.eye(3), atol=1e-12)
+    assert np.linalg.det(R) == pytest.approx(1.0)
+    assert R[:, 1] @ [0.3, 0.5, 0.1] == pytest.approx(0.0, abs=1e-12)
+    assert R[:, 0] @ [0.3, 0.5, 0.1] > 0
 
 
 def test_samples_of_the_surface_are_those_of_old() -> None:
