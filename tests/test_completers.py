@@ -153,7 +153,6 @@ def test_the_mirror_needs_a_viewpoint():
 def test_the_oracle_alone_is_given_the_truth():
     oracle = get_completer("oracle")
     assert isinstance(oracle, Oracle)
-    assert oracle.needs_truth
     assert not any(isinstance(get_completer(name), Oracle) for name in COMPLETERS if name != "oracle")
     mesh = truth()
     parts = CollisionMesh((ConvexPart(mesh.vertices, mesh.faces),), (0.0, 0.0, 0.0), "hull", 0.0)

@@ -135,8 +135,6 @@ def _refine(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
 class Oracle:
     """The true mesh as its own completion; no other completer is given the truth."""
 
-    needs_truth = True
-
     def __call__(
         self, detection: Detection, truth: trimesh.Trimesh | None = None, collision: CollisionMesh | None = None
     ) -> Completion:
