@@ -156,13 +156,13 @@ def complete_scene(
         FitDiverged: No primitive fits any object.
         InvalidView: Not a DepthImage.
         UnknownDetector: No detector of that name.
+        InvalidOption: The detector returned something else than detections.
     """
     _check_options(config, seed)
     if not isinstance(image, DepthImage):
         raise InvalidView(f"image is a {type(image).__name__}; a gfp_grasp.types.DepthImage is expected")
     done, failure = [], None
-    detect = get_detector(detector) if isinstance(detector, str) else detector
-    for detection in detect(image, up=checked_direction(up)):
+    for detection in get_detector(detector)(image, up=checked_direction(up)):
         try:
             done.append(complete_detection(detection, config=config, seed=seed))
         except FitDiverged as error:
@@ -304,7 +304,10 @@ def _solid(fit: FittedPrimitive) -> FittedPrimitive:
 def _check_category(category: str | None, config: CompleteConfig | None) -> None:
     known = (config or CompleteConfig()).library.categories
     if category is not None and category not in known:
-        raise UnknownCategory(f"there is no primitive of {category!r}; there are {', '.join(known)}")
+        raise UnknownCategory(
+            f"there is no primitive of {category!r}; there are {', '.join(known)}. A class of your own: gfp-grasp gps "
+            "build, then CompleteConfig(library=PrimitiveLibrary.with_shipped(FOLDER))"
+        )
 
 
 def _check_options(config: object, seed: object) -> None:

@@ -15,13 +15,19 @@ from clocks import SteadyClock
 from gfp_grasp.bench import hostile
 from gfp_grasp.bench.hostile import HostileConfig, HostileRow, bench_hostile, measure_mesh
 from gfp_grasp.bench.hostile_meshes import KINDS
-from gfp_grasp.collision import DecomposeConfig
+from gfp_grasp.collision import DecomposeConfig, close_workers
 from gfp_grasp.errors import DecompositionFailed, InvalidMesh, InvalidOption
 from gfp_grasp.types import CollisionMesh, ConvexPart
 
 
 def row(step: str, number: int, outcome: str = "valid", s: float = 0.5) -> HostileRow:
     return HostileRow(step=step, number=number, kind=tuple(KINDS)[number % len(KINDS)], outcome=outcome, s=s)
+
+
+@pytest.fixture(autouse=True)
+def no_children() -> None:
+    """Engines that earlier tests keep warm are no processes that a mesh left behind."""
+    close_workers()
 
 
 @pytest.fixture

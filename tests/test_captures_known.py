@@ -11,7 +11,7 @@ from gfp_grasp import captures
 from gfp_grasp.camera import camera_points, intrinsics
 from gfp_grasp.captures import Capture, complete_capture, read_capture
 from gfp_grasp.captures.read import parse_pcd
-from gfp_grasp.errors import InvalidCloud, InvalidView, UnreadableFile
+from gfp_grasp.errors import InvalidCloud, InvalidOption, InvalidView, UnreadableFile
 from gfp_grasp.transforms import apply_T, make_T, rotation_about
 from gfp_grasp.types import DepthImage
 
@@ -208,16 +208,30 @@ def test_a_picture_alone_is_completed_as_a_scene(monkeypatch: pytest.MonkeyPatch
     assert not calls.single
 
 
+def test_a_detector_takes_the_picture_even_where_points_are_known(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls, view = _Calls(monkeypatch), DepthImage(DEPTH, K, T)
+    complete_capture(Capture("a", POINTS, view), detector="own:find")
+    assert calls.scene["detector"] == "own:find"
+    assert not calls.single
+    complete_capture(Capture("a", view=view))
+    assert calls.scene["detector"] == "tabletop"
+    with pytest.raises(
+        InvalidOption, match=r"detector 'own:find' looks for objects in a picture, and a.ply holds points"
+    ):
+        complete_capture(Capture("a.ply", POINTS), detector="own:find")
+
+
 def test_points_are_completed_with_all_that_the_recording_knows(monkeypatch: pytest.MonkeyPatch) -> None:
     calls, view = _Calls(monkeypatch), DepthImage(DEPTH, K, T)
     points = apply_T(T, camera_points(view))
     mine = points[6:8, 9:12].reshape(-1, 3)
     up, viewpoint = np.array([0.0, 1.0, 0.0]), T[:3, 3]
     capture = Capture("a", mine, view, viewpoint=viewpoint, up=up, support_height=0.1)
-    assert len(complete_capture(capture, category="mug", seed=3)) == 1
+    assert len(complete_capture(capture, category="mug", sensor="lidar", seed=3)) == 1
     assert calls.single["points"] is mine
     assert calls.single["view"] is view
     assert (calls.single["category"], calls.single["seed"], calls.single["support_height"]) == ("mug", 3, 0.1)
+    assert calls.single["sensor"] == "lidar"
     assert calls.single["up"] is up
     assert calls.single["viewpoint"] is viewpoint
     assert calls.single["mask"] is None  # the completion marks the pixels that saw the points

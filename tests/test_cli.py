@@ -39,6 +39,16 @@ def test_module_is_the_program() -> None:
         assert name in done.stdout
 
 
+def test_a_function_of_the_users_own_is_found_in_the_working_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / "parts_of_mine.py").write_text("def find(image, *, up):\n    return []\n")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    assert run("complete", "sample", "--detector", "parts_of_mine:find", "-o", "a.glb") == 2
+    assert "detector 'parts_of_mine:find' found no object" in " ".join(capsys.readouterr().err.split())
+
+
 @pytest.mark.slow
 def test_sample_capture_is_completed_into_every_format(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     outputs = [tmp_path / f"mug{suffix}" for suffix in SUFFIXES]

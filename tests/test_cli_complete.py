@@ -41,7 +41,8 @@ def test_complete_hands_on_every_option(
 ) -> None:
     mug = completion("mug", {"mug": 0.876, "cup": 0.1}, 3)
     complete = completed_as(monkeypatch, mug)
-    place = "--viewpoint 0.1,-0.2,0.5 --up 0,1,0 --support-height 0.25 --category mug --detector own:find --files"
+    place = "--viewpoint 0.1,-0.2,0.5 --up 0,1,0 --support-height 0.25 --category mug --files"
+    place += " --detector own:find --sensor lidar"
     budget = "--max-parts 7 --max-vertices 16 --tolerance-mm 2.5 --seed 9 --gps"
     out = tmp_path / "mug.xml"
     assert run(f"complete own.ply {place} {budget}", tmp_path, "-o", out) == 0
@@ -54,7 +55,7 @@ def test_complete_hands_on_every_option(
         library=PrimitiveLibrary.with_shipped(tmp_path),
         collision=CollisionConfig(max_parts=7, max_vertices_per_part=16, tolerance_m=0.0025),
     )
-    assert named == {"category": "mug", "detector": "own:find", "config": config, "seed": 9}
+    assert named == {"category": "mug", "detector": "own:find", "sensor": "lidar", "config": config, "seed": 9}
     assert mug.export.only == ((out,), {"assets": "files"})
     assert rows_of(capsys.readouterr().out) == ["mug   │  0.88 │ 81 x 93 x 123 │  33% │     3 │      132"]
 
@@ -69,7 +70,7 @@ def test_complete_leaves_a_recording_as_it_is_where_nothing_is_said(
     np.testing.assert_array_equal(capture.viewpoint, [1.0, 2.0, 3.0])
     assert capture.support_height == 0.5
     assert named["config"] == CompleteConfig(collision=CollisionConfig(max_parts=80))
-    assert (named["category"], named["detector"], named["seed"]) == (None, "tabletop", 0)
+    assert (named["category"], named["detector"], named["sensor"], named["seed"]) == (None, None, "tabletop", 0)
     assert [call[0][0].name for call in cup.export.calls] == ["a.xml", "b.glb"]
     assert all(call[1] == {"assets": "embedded"} for call in cup.export.calls)
 

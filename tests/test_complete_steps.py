@@ -117,6 +117,7 @@ def test_objects_of_a_scene_are_completed_one_by_one_and_those_that_fit_nothing_
         return f"completed {detection}"
 
     monkeypatch.setattr("gfp_grasp.complete.complete_detection", complete)
+    monkeypatch.setattr("gfp_grasp.complete.get_detector", lambda detector: detector)
     detect, config = Recorder(["a", "odd", "b"]), CompleteConfig(rival_share=0.5)
     with pytest.warns(UserWarning, match="an object was left out: no start converged"):
         made = complete_scene(toy_image(), up=(0.0, 2.0, 0.0), detector=detect, config=config, seed=7)

@@ -1,11 +1,16 @@
 """Detectors by name, the user's own among them."""
 
+import re
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 import trimesh
 
 from gfp_grasp import complete_scene
 from gfp_grasp.camera import cloud_of, intrinsics, render_mesh_view
+from gfp_grasp.captures import read_capture
 from gfp_grasp.detect import DETECTORS, detect_objects, get_detector, make_detection
 from gfp_grasp.errors import InvalidOption, NothingDetected, UnknownDetector
 from gfp_grasp.shapes import make_shape
@@ -85,6 +90,25 @@ def test_unknown_detector_is_refused_with_those_on_offer() -> None:
         get_detector("magic")
     with pytest.raises(UnknownDetector, match="cannot be imported"):
         complete_scene(_picture(), detector="no_such_module:detect")
+
+
+def test_detector_of_the_documents_finds_the_mug_of_the_sample() -> None:
+    page = (Path(__file__).resolve().parents[1] / "docs" / "own_parts.md").read_text(encoding="utf-8")
+    names: dict[str, Any] = {}
+    exec(re.findall(r"^```python\n(.*?)^```", page, re.MULTILINE | re.DOTALL)[0], names)
+    sample = read_capture("sample")
+    assert sample.view is not None
+    (mug,) = complete_scene(sample.view, detector=names["detect"])
+    assert mug.category == "mug"
+    (same,) = complete_scene(sample.view)
+    np.testing.assert_allclose(mug.mesh.extents, same.mesh.extents, atol=0.004)
+
+
+def test_function_of_the_users_own_is_checked_as_a_named_one() -> None:
+    with pytest.raises(InvalidOption, match=r"points_only' returned a ndarray"):
+        complete_scene(_picture(), detector=points_only)  # pyright: ignore[reportArgumentType]
+    with pytest.raises(NothingDetected, match=r"nothing' found no object"):
+        complete_scene(_picture(), detector=nothing)
 
 
 def test_detector_that_returns_something_else_is_named() -> None:

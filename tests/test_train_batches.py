@@ -21,7 +21,7 @@ from gfp_grasp.train.classifier_data import (
     above_table,
     augmented_batches,
     make_targets,
-    part_is_seen,
+    part_in_view,
 )
 from gfp_grasp.train.views import View, config_id
 
@@ -129,7 +129,7 @@ def test_a_handle_is_seen_by_fifteen_points_three_millimetres_beyond_the_body() 
     local = np.zeros((40, 3))
     for count, reach, seen in ((15, 0.0431, True), (14, 0.0431, False), (15, 0.0429, False)):
         local[:, 0], local[:count, 0] = 0.0, reach
-        assert part_is_seen(local @ T[:3, :3].T + T[:3, 3], T, 0.04) is seen
+        assert part_in_view(local @ T[:3, :3].T + T[:3, 3], T, 0.04) is seen
 
 
 def test_examples_of_a_class_know_their_kind_and_what_they_may_be_taken_for(tmp_path: Path, monkeypatch) -> None:

@@ -11,7 +11,7 @@ from gfp_grasp.shapes import make_assorted, make_shape, split_seeds
 from gfp_grasp.train import ClassifierConfig, alike_in, assorted_examples, class_examples, make_prototypes
 from gfp_grasp.train.calibration import calibrate, embedded
 from gfp_grasp.train.classifier import NUM_PROTOTYPES, cluster, train_classifier
-from gfp_grasp.train.classifier_data import VIEWS, Example, part_is_seen
+from gfp_grasp.train.classifier_data import VIEWS, Example, part_in_view
 
 CLASSES = PrimitiveLibrary.shipped().categories
 
@@ -43,8 +43,8 @@ def test_members_of_a_kind_are_more_alike_than_kinds_of_one_maker():
 def test_a_handle_behind_the_body_is_not_seen_and_one_at_the_side_is():
     mesh = make_shape("mug", split_seeds("mug", "val")[0]).mesh
     points, body_m = np.asarray(mesh.vertices), float(np.abs(mesh.vertices[:, 1]).max())
-    assert part_is_seen(points, np.eye(4), body_m)
-    assert not part_is_seen(points[points[:, 0] < 0], np.eye(4), body_m)
+    assert part_in_view(points, np.eye(4), body_m)
+    assert not part_in_view(points[points[:, 0] < 0], np.eye(4), body_m)
 
 
 def test_cups_and_mugs_count_apart_only_where_a_handle_is_seen(tmp_path, few_shapes):

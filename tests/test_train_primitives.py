@@ -112,7 +112,8 @@ def _folder(tmp_path: Path, count: int) -> Path:
 
 
 def test_a_small_folder_is_used_up_by_the_build(built, tmp_path: Path) -> None:
-    primitive = build_from_folder(_folder(tmp_path, 14), "box", seed=2, spec={"hollow": False})
+    with pytest.warns(UserWarning, match=r"broken\.off is left out: "):
+        primitive = build_from_folder(_folder(tmp_path, 14), "box", seed=2, spec={"hollow": False})
     (build,) = built.builds
     heights = [float(m.extents[2]) for m in build.meshes]
     np.testing.assert_allclose(heights, 0.02 + 0.001 * np.arange(14))
@@ -128,6 +129,7 @@ def test_a_small_folder_is_used_up_by_the_build(built, tmp_path: Path) -> None:
     assert built.known_by == [(2, None)]
 
 
+@pytest.mark.filterwarnings("ignore:broken.off")
 def test_a_fifth_of_a_larger_folder_is_held_out(built, tmp_path: Path, monkeypatch) -> None:
     posed: list = []
     monkeypatch.setattr(
@@ -143,6 +145,15 @@ def test_a_fifth_of_a_larger_folder_is_held_out(built, tmp_path: Path, monkeypat
     assert primitive.card["data"] == "13 mesh files of a folder, 3 more held out, 1 more unreadable"
     monkeypatch.setattr(module, "_posed", lambda *_: [])
     assert "held_out" not in build_from_folder(tmp_path, "box", config=config).card
+
+
+@pytest.mark.parametrize(("scale", "said"), [(1000.0, "100 m across"), (0.01, "0.001 m across")])
+def test_a_folder_that_is_not_in_metres_is_refused(built, tmp_path: Path, scale: float, said: str) -> None:
+    for number in range(5):
+        trimesh.creation.box(scale * np.array([0.1, 0.05, 0.02])).export(tmp_path / f"{number}.ply")
+    with pytest.raises(InvalidOption, match=f"{said}, 0.005 to 25 m are expected"):
+        build_from_folder(tmp_path, "box")
+    assert not built.builds
 
 
 def test_what_is_held_out_is_drawn_by_the_seed_and_keeps_its_order() -> None:

@@ -19,7 +19,7 @@ import trimesh
 from gfp_grasp.assets import data_file
 from gfp_grasp.camera import cloud_of, view_from_points
 from gfp_grasp.complete import CompleteConfig, Completion, complete_scene, complete_to_mesh
-from gfp_grasp.errors import GfpGraspError, InvalidCloud, InvalidView, UnreadableFile
+from gfp_grasp.errors import GfpGraspError, InvalidCloud, InvalidOption, InvalidView, UnreadableFile
 from gfp_grasp.meshes import LARGEST_BYTES, READER_ERRORS, read_content
 from gfp_grasp.transforms import apply_T
 from gfp_grasp.types import DepthImage
@@ -60,7 +60,8 @@ def complete_capture(
     capture: Capture,
     *,
     category: str | None = None,
-    detector: str = "tabletop",
+    detector: str | None = None,
+    sensor: str = "tabletop",
     config: CompleteConfig | None = None,
     seed: int = 0,
 ) -> tuple[Completion, ...]:
@@ -69,16 +70,23 @@ def complete_capture(
     Args:
         capture: The recording.
         category: As complete_to_mesh takes it; a whole picture's objects are classified one by one.
-        detector: Name of the detector for a whole picture, see `gfp_grasp.detect.get_detector`.
+        detector: Name of the detector for the whole picture, see `gfp_grasp.detect.get_detector`, even where the points
+            of one object are known; None takes `tabletop` where they are not.
+        sensor: As complete_to_mesh takes it.
         config: Switches.
         seed: Seed of every random choice.
 
     Raises:
+        InvalidOption: A detector, and no picture for it.
         GfpGraspError: As complete_to_mesh and complete_scene raise it.
     """
-    if capture.points is None:
-        assert capture.view is not None
-        return complete_scene(capture.view, up=capture.up, detector=detector, config=config, seed=seed)
+    if detector is not None and capture.view is None:
+        raise InvalidOption(
+            f"detector {detector!r} looks for objects in a picture, and {capture.name} holds points only"
+        )
+    if capture.view is not None and (detector is not None or capture.points is None):
+        return complete_scene(capture.view, up=capture.up, detector=detector or "tabletop", config=config, seed=seed)
+    assert capture.points is not None
     completion = complete_to_mesh(
         capture.points,
         viewpoint=capture.viewpoint,
@@ -87,6 +95,7 @@ def complete_capture(
         view=capture.view,
         mask=capture.mask,
         category=category,
+        sensor=sensor,
         config=config,
         seed=seed,
     )

@@ -36,7 +36,7 @@ bench = typer.Typer(
 def completion(
     objects: Objects,
     methods: Annotated[str, typer.Option(help="Names with commas between; brief; or all.")] = "brief",
-    views: Annotated[int, typer.Option(min=1, help="Of each object.")] = 16,
+    views: Annotated[int, typer.Option(min=1, help="Views of each object.")] = 16,
     split: Split = "test",
     limit: Limit = None,
     given: Annotated[bool, typer.Option("--given-category", help="Tell the methods the true class.")] = False,
@@ -86,7 +86,7 @@ def completion(
 @bench.command()
 def registration(
     starts: Annotated[str, typer.Option(help="box, pcrnet, or both with a comma between.")] = "box,pcrnet",
-    views: Annotated[int, typer.Option(min=1, help="Of each object.")] = 4,
+    views: Annotated[int, typer.Option(min=1, help="Views of each object.")] = 4,
     limit: Limit = None,
     mean_size: Annotated[bool, typer.Option("--mean-size", help="Starts have the mean size.")] = False,
     workers: Workers = 1,
@@ -108,7 +108,7 @@ def registration(
 @bench.command()
 def detection(
     data: Annotated[Path | None, typer.Option(help="Folder with captures/, for real tables.")] = None,
-    views: Annotated[int, typer.Option(min=1, help="Of each procedural shape.")] = 4,
+    views: Annotated[int, typer.Option(min=1, help="Views of each procedural shape.")] = 4,
     workers: Workers = 1,
     json_file: JsonFile = None,
 ) -> None:
@@ -125,7 +125,7 @@ def detection(
 
 @bench.command()
 def ablation(
-    steps: Annotated[int, typer.Option(min=1, help="Of each network.")] = 200,
+    steps: Annotated[int, typer.Option(min=1, help="Steps of each network.")] = 200,
     limit: Annotated[int, typer.Option(min=1, help="Shapes of each family.")] = 60,
     runs: Annotated[Path, typer.Option(help="Folder of caches and of finished rows.")] = Path("runs"),
     workers: Workers = 1,

@@ -94,8 +94,10 @@ def trial(
 @bench.command()
 def resets(
     objects: Objects = "all",
-    count: Annotated[int, typer.Option("--resets", min=10, help="Of one environment.")] = 10_000,
-    completer: Annotated[str, typer.Option(help="Name; a cheap one measures the environment.")] = "mirror",
+    count: Annotated[int, typer.Option("--resets", min=10, help="Resets of one environment.")] = 10_000,
+    completer: Annotated[
+        str, typer.Option(help="Name of a completer; a cheap one measures the environment.")
+    ] = "mirror",
     limit: Most = 20,
     json_file: JsonFile = None,
     seed: Seed = 0,

@@ -10,7 +10,6 @@ import numpy as np
 import typer
 
 from gfp_grasp.cli.terminal import (
-    Detector,
     Files,
     Gps,
     Seed,
@@ -38,12 +37,16 @@ def complete(
     support_height: Annotated[float | None, typer.Option(help="Height of the support along up, metres.")] = None,
     category: Annotated[str | None, typer.Option(help="Class of the object; left out, it is found.")] = None,
     folders: Gps = None,
-    detector: Detector = "tabletop",
+    detector: Annotated[
+        str | None,
+        typer.Option(help="What finds objects in the whole picture: tabletop, or your own module:function."),
+    ] = None,
+    sensor: Annotated[str, typer.Option(help="What saw the cloud: tabletop (a depth camera) or lidar.")] = "tabletop",
     files: Files = False,
     max_parts: Annotated[int, typer.Option(help="Most convex parts.")] = 80,
     max_vertices: Annotated[int | None, typer.Option(help="Most vertices of each part.")] = None,
     tolerance_mm: Annotated[
-        float | None, typer.Option(help="As few parts as lie within this of the mesh, for 95 % of it.")
+        float | None, typer.Option(help="The fewest parts of whose surface 95 % lies this near to the mesh.")
     ] = None,
     seed: Seed = 0,
 ) -> None:
@@ -69,7 +72,7 @@ def complete(
         warnings.simplefilter("always", UserWarning)
         warnings.simplefilter("always", RuntimeWarning)
         completions = complete_capture(
-            replace(capture, **given), category=category, detector=detector, config=config, seed=seed
+            replace(capture, **given), category=category, detector=detector, sensor=sensor, config=config, seed=seed
         )
         counts = [len(completion.parts) for completion in completions]
     for warning in caught:

@@ -3,6 +3,7 @@
 import os
 import sys
 from collections.abc import Sequence
+from pathlib import Path
 from typing import cast
 
 import typer
@@ -39,6 +40,8 @@ def main(arguments: Sequence[str] | None = None) -> None:
         arguments: After the program's name; None takes those of the process.
     """
     words = list(sys.argv[1:] if arguments is None else arguments)
+    if str(Path.cwd()) not in sys.path:
+        sys.path.append(str(Path.cwd()))  # where a user's own module:function lies
     if words[:1] != ["train"]:
         _keep_to_one_thread()
     try:

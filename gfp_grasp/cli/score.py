@@ -29,12 +29,14 @@ def score(
     completers: Annotated[
         str, typer.Option(help="With commas between; your own: module:function; with a planner: gfpnet/top-down.")
     ] = COMPLETERS,
-    views: Annotated[int, typer.Option(min=1, help="Of each object.")] = 4,
+    views: Annotated[int, typer.Option(min=1, help="Views of each object.")] = 4,
     grasps: Annotated[int, typer.Option(min=1, help="So many of the best are tried until one holds.")] = 5,
     split: Split = "test",
     clutter: Annotated[int, typer.Option(min=0, help="So many other objects stand around each.")] = 0,
     limit: Limit = None,
-    classes: Annotated[str | None, typer.Option(help="Of the folder's objects, with commas between; * is all.")] = None,
+    classes: Annotated[
+        str | None, typer.Option(help="Classes of the folder's objects to score, with commas between; * is all.")
+    ] = None,
     folders: Gps = None,
     detector: Detector = "tabletop",
     workers: Workers = 1,

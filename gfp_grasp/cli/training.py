@@ -110,11 +110,11 @@ def prototypes(
         "gps"
     ),
     shapes: Annotated[
-        bool, typer.Option(help="Look at procedural shapes, in place of the members as the primitive tells them.")
+        bool, typer.Option(help="Render procedural shapes instead of the members that the primitive's modes make.")
     ] = False,
     seed: Seed = 0,
 ) -> None:
-    """Compute by what the classifier knows the classes of a folder, for the network that ships with the package."""
+    """Compute the prototypes by which the classifier that ships tells the classes of a folder apart."""
     from gfp_grasp.primitives import PrimitiveLibrary, save_primitive
     from gfp_grasp.train import procedural_members, with_prototypes
 

@@ -218,16 +218,19 @@ class Detector(Protocol):
 DETECTORS: Mapping[str, Detector] = {"tabletop": partial(detect_objects, config=DetectConfig(classify=False))}
 
 
-def get_detector(name: str) -> Detector:
-    """A detector by name.
+def get_detector(name: str | Detector) -> Detector:
+    """A detector by name, or a function of the user's own, whose answers are checked.
 
     Args:
         name: `tabletop` (`detect_objects`: what stands on a support plane), or `package.module:function`, a function
-            like it. `make_detection` makes a detection of an object's points; its class is named when it is completed.
+            like it, or such a function itself. `make_detection` makes a detection of an object's points; its class is
+            named when it is completed.
 
     Raises:
         UnknownDetector: The name is none of these, or cannot be imported.
     """
+    if not isinstance(name, str):
+        return _checked(name, getattr(name, "__name__", type(name).__name__))
     if name in DETECTORS:
         return DETECTORS[name]
     on_offer = ", ".join(DETECTORS)

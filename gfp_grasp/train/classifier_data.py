@@ -90,7 +90,7 @@ def class_examples(
     examples = []
     for view in views:
         subcategory, body_m = _anatomy(view.source) if view.source.path is None else ("", None)
-        hidden = body_m is not None and not part_is_seen(view.points, view.T_world_object, body_m)
+        hidden = body_m is not None and not part_in_view(view.points, view.T_world_object, body_m)
         either = (category, *alike)
         examples.append(
             Example(
@@ -120,7 +120,7 @@ def assorted_examples(
     return [example for views in pmap(render, jobs, workers=workers, progress=progress) for example in views]
 
 
-def part_is_seen(points: np.ndarray, T_world_object: np.ndarray, body_m: float) -> bool:
+def part_in_view(points: np.ndarray, T_world_object: np.ndarray, body_m: float) -> bool:
     """Whether points lie beyond the body's radius towards +x, where a handle is; noise stays within 3 mm."""
     local = apply_T(invert_T(T_world_object), points)
     return int((local[:, 0] > body_m + 0.003).sum()) >= _MIN_HANDLE_POINTS

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -14,10 +15,11 @@ from gfp_grasp.meshes import SUFFIXES, load_mesh, make_solid
 from gfp_grasp.parallel import Progress
 from gfp_grasp.primitives import BuildConfig, bring_into_one_pose, build_primitive, measure_primitive
 from gfp_grasp.shapes import FAMILIES, make_shape, split_seeds
-from gfp_grasp.types import CategorySpec, GenericPrimitive
+from gfp_grasp.types import LIDAR, CategorySpec, GenericPrimitive
 
 # A folder with fewer meshes than this is used up by the build; from this on every fifth mesh is held out.
 _ENOUGH_TO_HOLD_OUT = 15
+_SMALLEST_MEMBER_M = 0.005
 _LICENCE_OF_SHAPES = "Apache-2.0"
 _OF_ALL_VARIANTS = 1000  # seeds of the train split among which members of one variant are looked for
 
@@ -140,8 +142,11 @@ def build_from_folder(
         progress: Wraps the streams of members.
 
     Raises:
-        InvalidOption: The folder holds no mesh file.
+        InvalidOption: The folder holds no mesh file, or meshes that are not in metres.
         BuildFailed: See build_primitive.
+
+    Warns:
+        UserWarning: For each file that cannot be read, with its name.
     """
     _check(category, spec)
     paths = sorted(path for path in Path(folder).glob("*") if path.suffix.lower() in SUFFIXES)
@@ -151,8 +156,10 @@ def build_from_folder(
     for path in paths:
         try:
             meshes.append(load_mesh(path))
-        except GfpGraspError:
+        except GfpGraspError as error:
+            warnings.warn(f"{path.name} is left out: {error}", stacklevel=2)
             unreadable += 1
+    _check_metres(meshes, folder)
     config = config or BuildConfig(orientation="any")
     kept, held_out = _hold_out(meshes, np.random.default_rng(seed))
     primitive = build_primitive(kept, category, config=config, seed=seed, progress=progress)
@@ -166,6 +173,17 @@ def build_from_folder(
         posed = _posed(held_out, primitive, config, seed)
         figures = measure_primitive(primitive, posed, progress=progress).figures() if posed else {}
     return _recognisable(with_spec(replace(primitive, card={**card, **primitive.card, **figures}), spec), seed)
+
+
+def _check_metres(meshes: list[trimesh.Trimesh], folder: str | Path) -> None:
+    """Refuse members of whose extents the median is larger than any sensor sees, as those in millimetres are."""
+    if meshes:
+        size_m = float(np.median([mesh.extents.max() for mesh in meshes]))
+        if not _SMALLEST_MEMBER_M <= size_m <= LIDAR.largest_m:
+            raise InvalidOption(
+                f"the meshes of {Path(folder).name} are {size_m:.4g} m across, {_SMALLEST_MEMBER_M} to "
+                f"{LIDAR.largest_m:g} m are expected: if they are in millimetres, divide them by 1000"
+            )
 
 
 def _recognisable(

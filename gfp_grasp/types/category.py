@@ -105,8 +105,10 @@ class CategorySpec:
 
     def _check_name(self) -> None:
         words = self.category.split(".") if isinstance(self.category, str) else []
-        if not 1 <= len(words) <= 2 or not all(words):
-            raise InvalidOption(f"category is {self.category!r}; 'class' or 'class.subcategory' is expected")
+        if not 1 <= len(words) <= 2 or not all(word.isidentifier() for word in words):
+            raise InvalidOption(
+                f"category is {self.category!r}; 'class' or 'class.subcategory' is expected, of letters, digits and _"
+            )
         if self.parent != (words[0] if len(words) == 2 else None):
             raise InvalidOption(
                 f"parent of {self.category} is {self.parent!r}; {words[0]!r} for a subcategory, else None"
