@@ -111,6 +111,11 @@ def test_function_of_the_users_own_is_checked_as_a_named_one() -> None:
         complete_scene(_picture(), detector=nothing)
 
 
+def test_detector_that_cannot_be_asked_is_refused() -> None:
+    with pytest.raises(InvalidOption, match=r"<lambda>\(image, up=...\): got an unexpected keyword argument 'up'"):
+        complete_scene(_picture(), detector=lambda image: [])  # pyright: ignore[reportArgumentType, reportCallIssue]
+
+
 def test_detector_that_returns_something_else_is_named() -> None:
     with pytest.raises(InvalidOption, match=r"points_only' returned a ndarray"):
         complete_scene(_picture(), detector="test_detectors:points_only")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -240,6 +241,10 @@ def get_detector(name: str | Detector) -> Detector:
 
 def _checked(function: Callable[..., object], name: str) -> Detector:
     def detect(image: DepthImage, *, up: np.ndarray | None) -> Sequence[Detection]:
+        try:
+            inspect.signature(function).bind(image, up=up)
+        except TypeError as error:
+            raise InvalidOption(f"detector {name!r} cannot be called as {name}(image, up=...): {error}") from error
         answer = function(image, up=up)
         items = tuple(answer) if isinstance(answer, Sequence) else (answer,)
         found = tuple(item for item in items if isinstance(item, Detection))
