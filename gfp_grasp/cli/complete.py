@@ -1,6 +1,5 @@
 """`gfp-grasp complete`, `decompose`, `demo` and `view`: recordings and meshes in, files and pages out."""
 
-import warnings
 import webbrowser
 from dataclasses import replace
 from pathlib import Path
@@ -20,6 +19,7 @@ from gfp_grasp.cli.terminal import (
     stages,
     table,
     vector,
+    warnings_as_notes,
 )
 from gfp_grasp.errors import InvalidOption
 
@@ -68,15 +68,11 @@ def complete(
         given["up"] = None if up == "auto" else np.array(vector(up, "up"))
     if support_height is not None:
         given["support_height"] = support_height
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", UserWarning)
-        warnings.simplefilter("always", RuntimeWarning)
+    with warnings_as_notes():
         completions = complete_capture(
             replace(capture, **given), category=category, detector=detector, sensor=sensor, config=config, seed=seed
         )
         counts = [len(completion.parts) for completion in completions]
-    for warning in caught:
-        err.print(f"note: {warning.message}", style="yellow", markup=False, soft_wrap=True)
     rows = []
     for number, completion in enumerate(completions):
         for path in output:

@@ -2,6 +2,7 @@
 
 import json
 import os
+import warnings
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -147,3 +148,14 @@ def save_json(path: Path | None, content: object) -> None:
     head = json.dumps({name: value for name, value in content.items() if name != "trials"}, indent=1)
     trials = ",\n".join(json.dumps(trial) for trial in content["trials"])
     write_whole(path, f'{head[:-2]},\n "trials": [\n{trials}\n ]\n}}\n')
+
+
+@contextmanager
+def warnings_as_notes() -> Iterator[None]:
+    """Warnings of the work within are printed as notes, one line each, when it is done."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", UserWarning)
+        warnings.simplefilter("always", RuntimeWarning)
+        yield
+    for warning in caught:
+        err.print(f"note: {warning.message}", style="yellow", markup=False, soft_wrap=True)

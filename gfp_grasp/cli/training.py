@@ -10,7 +10,7 @@ from typing import Annotated, cast
 import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from gfp_grasp.cli.terminal import Gps, Limit, Seed, Workers, err, out, table, track
+from gfp_grasp.cli.terminal import Gps, Limit, Seed, Workers, err, out, table, track, warnings_as_notes
 from gfp_grasp.errors import InvalidOption, UnreadableFile
 
 gps = typer.Typer(name="gps", help="Generic primitives: list, show, build.", no_args_is_help=True)
@@ -63,7 +63,8 @@ def build(
         primitive = build_from_shapes(category, members=limit, seed=seed, spec=known, progress=progress)
     else:
         config = BuildConfig(orientation=orientation, licence=licence)  # pyright: ignore[reportArgumentType]
-        primitive = build_from_folder(meshes, category, seed=seed, config=config, spec=known, progress=progress)
+        with warnings_as_notes():
+            primitive = build_from_folder(meshes, category, seed=seed, config=config, spec=known, progress=progress)
     path = save_primitive(primitive, folder)
     out.print(f"{path}: {len(primitive.vertices)} vertices, {len(primitive.modes)} modes", markup=False)
 
