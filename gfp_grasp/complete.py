@@ -57,7 +57,7 @@ class CompleteConfig:
     library: PrimitiveLibrary = field(default_factory=PrimitiveLibrary.shipped)
     fit: FitConfig = field(default_factory=FitConfig)
     deform: DeformConfig = field(default_factory=DeformConfig)
-    rival_share: float = 0.05
+    rival_share: float = 0.1
     subcategories: bool = True
     optional_parts: str = "card"
     collision: CollisionConfig = field(default_factory=CollisionConfig)

@@ -27,7 +27,7 @@ POINTS = np.random.default_rng(0).uniform(-0.03, 0.03, (60, 3)) + np.array([0.2,
 
 def test_defaults_of_a_completion_are_the_documented_ones() -> None:
     config = CompleteConfig()
-    assert (config.rival_share, config.subcategories, config.optional_parts) == (0.05, True, "card")
+    assert (config.rival_share, config.subcategories, config.optional_parts) == (0.1, True, "card")
     for share in (0.0, -0.1, 1.1):
         with pytest.raises(InvalidOption, match="rival_share"):
             CompleteConfig(rival_share=share)
