@@ -100,7 +100,7 @@ _NEAR = 10.0  # pixels of a crease join a piece within this distance
 
 _JUMP_PER_M = 0.01  # that the depth step grows by for each metre of depth
 _MAX_CONCAVITY = 0.2  # dip of the surface under a chord, over the chord's length, that parts two bodies: a right angle
-# has 0.5, the inside of a cup 0.1 (see concavity.py)
+# has 0.5, the inside of a cup 0.1 (see concavity)
 _MIN_AREA = 3.56  # surface of the smallest object that counts, in squares of the sensor's smallest
 _MAX_WIDTH = 0.4  # wider clusters are walls or furniture, not objects; in the sensor's largest
 _MIN_PIECE_PX = 25  # fewer pixels or voxels are flying ones
