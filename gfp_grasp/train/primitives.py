@@ -176,7 +176,7 @@ def build_from_folder(
 
 
 def _check_metres(meshes: list[trimesh.Trimesh], folder: str | Path) -> None:
-    """Refuse members of whose extents the median is larger than any sensor sees, as those in millimetres are."""
+    """Refuse members whose median extent is smaller or larger than anything a sensor sees, as in millimetres it is."""
     if meshes:
         size_m = float(np.median([mesh.extents.max() for mesh in meshes]))
         if not _SMALLEST_MEMBER_M <= size_m <= LIDAR.largest_m:

@@ -147,10 +147,10 @@ class Silhouette:
         seen, flat, pixels, range_m = pixels_of(points, self.view)
         violating = range_m + self.margin_m < self.free_range_m.ravel()[flat]
         offset = self.offset_px.reshape(2, -1)[:, flat[violating]]
-        moved = np.flatnonzero(violating)[offset.any(axis=0)]
-        offset = self.offset_px.reshape(2, -1)[:, flat[moved]]
+        outside = offset.any(axis=0)
+        moved = np.flatnonzero(violating)[outside]
         index = seen[moved]
-        there = self.view.unproject(pixels[moved] + offset[::-1].T, range_m[moved])
+        there = self.view.unproject(pixels[moved] + offset[::-1, outside].T, range_m[moved])
         return index, there - points[index]
 
 
