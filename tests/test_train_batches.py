@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 from moments import assert_known
+from toy_examples import EXAMPLES, OTHERS
 
 from gfp_grasp.detect import POOL_POINTS
 from gfp_grasp.errors import InvalidOption
@@ -26,23 +27,6 @@ from gfp_grasp.train.classifier_data import (
 from gfp_grasp.train.views import View, config_id
 
 LIBRARY = PrimitiveLibrary.shipped()
-
-
-def _example(seed: int, category: str, subcategory: str = "", *, answers: tuple[str, ...] = (), low=0.0) -> Example:
-    rng = np.random.default_rng(seed)
-    points = rng.uniform([-0.05, -0.03, low], [0.04, 0.06, 0.12], (300, 3)) * (1 + 0.1 * seed)
-    answers = answers or (category,)
-    return Example(points, category, subcategory, answers, answers, ("upright", "lying")[seed % 2])
-
-
-EXAMPLES = [
-    _example(0, "cup", "tapered"),
-    _example(1, "mug", "ear", answers=("mug", "cup")),
-    _example(2, "mug", "ear"),
-    _example(3, "cup", "footed"),
-    _example(4, "cup", "tapered"),
-]
-OTHERS = [_example(5, "assorted-0"), _example(6, "assorted-7")]
 
 
 def test_a_view_needs_thirty_points_above_the_table() -> None:

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 import torch
 from moments import assert_known
+from toy_examples import EXAMPLES, example
 
 from gfp_grasp.detect import Calibration, EmbeddingNet, Prototypes, mixture
 from gfp_grasp.primitives import PrimitiveLibrary
@@ -29,23 +30,6 @@ from gfp_grasp.train.classifier_data import (
 LIBRARY = PrimitiveLibrary.shipped()
 
 
-def _example(seed: int, category: str, subcategory: str = "", *, answers: tuple[str, ...] = (), low=0.0) -> Example:
-    rng = np.random.default_rng(seed)
-    points = rng.uniform([-0.05, -0.03, low], [0.04, 0.06, 0.12], (300, 3)) * (1 + 0.1 * seed)
-    answers = answers or (category,)
-    return Example(points, category, subcategory, answers, answers, ("upright", "lying")[seed % 2])
-
-
-EXAMPLES = [
-    _example(0, "cup", "tapered"),
-    _example(1, "mug", "ear", answers=("mug", "cup")),
-    _example(2, "mug", "ear"),
-    _example(3, "cup", "footed"),
-    _example(4, "cup", "tapered"),
-]
-OTHERS = [_example(5, "assorted-0"), _example(6, "assorted-7")]
-
-
 class _Still(EmbeddingNet):
     """Embeds nothing: the tests say what the embeddings are."""
 
@@ -62,9 +46,9 @@ def _unit(rows: list) -> np.ndarray:
 
 def test_temperature_and_reach_are_those_of_the_smallest_loss(monkeypatch) -> None:
     network = _Still(3, width=2)
-    known = [_example(k, name, answers=answers) for k, (name, answers) in enumerate(
+    known = [example(k, name, answers=answers) for k, (name, answers) in enumerate(
         [("a", ("a",)), ("a", ("a",)), ("b", ("b",)), ("b", ("b", "a")), ("a", ("a",))])]  # fmt: skip
-    unknown = [_example(9, "other")] * 3
+    unknown = [example(9, "other")] * 3
     near = _unit([[1, 0.2, 0.3], [0.5, 0.6, 0.5], [0.2, 0.3, 1], [0.7, 0, 0.6], [0.4, 0, 0.7]])
     far = _unit([[-1, 0.2, 0.3], [0.1, 0.9, 0.4], [0.6, -0.7, 0.2]])
     monkeypatch.setattr(calibration, "embedded", lambda network, examples, **_: near if len(examples) == 5 else far)
@@ -82,7 +66,7 @@ def test_accuracy_is_of_what_is_accepted_of_what_was_taught_and_by_rest(monkeypa
     ]
     known = _unit([[1, 0, 0], [0, 0, 1], [1, 0, 0.2], [0, 0, 1]])
     blind = _unit([[0, 0, 1], [0, 0, 1], [1, 0, 0], [1, 0, 0]])
-    outside = [_example(1, "other")]
+    outside = [example(1, "other")]
 
     def embedding(network, examples, *, table_known=True):
         if examples is outside:
