@@ -36,6 +36,14 @@ def invert_T(T: np.ndarray) -> np.ndarray:
     return make_T(R, -R @ T[:3, 3])
 
 
+def cross(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Cross products (..., 3) of vectors (..., 3), as numpy's own, which takes three to ten times as long."""
+    answer = np.empty(np.broadcast_shapes(a.shape, b.shape), dtype=np.result_type(a, b))
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        answer[..., i] = a[..., j] * b[..., k] - a[..., k] * b[..., j]
+    return answer
+
+
 def rotation_between(a: ArrayLike, b: ArrayLike) -> np.ndarray:
     """The smallest (3, 3) rotation that turns direction a onto direction b, both (3,) and not zero."""
     a = np.asarray(a, dtype=np.float64) / np.linalg.norm(a)

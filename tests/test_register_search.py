@@ -125,8 +125,7 @@ def test_a_lying_start_is_the_truth_of_a_long_body():
     longer = replace(primitive, vertices=primitive.vertices * (0.5, 0.5, 4.0), modes=primitive.modes * 0.1)
     truth = replace(_wedge_standing(R))
     evidence = _evidence_of(truth, longer, truth.t + 2 * np.cross(axis, UP) + UP)
-    found = make_starts(longer, evidence, ("lying",))
-    assert len(found) == 4
+    found = make_starts(longer, evidence, ("lying",))[:4]
     best = min(found, key=lambda state: np.abs(state.R - R).max())
     assert np.abs(best.R - R).max() < 0.1
     assert np.abs(best.t - truth.t).max() < 0.02
@@ -139,6 +138,32 @@ def test_a_lying_start_is_the_truth_of_a_long_body():
     assert directions @ UP == pytest.approx(np.zeros(4), abs=1e-12)
     assert directions.sum(axis=0) == pytest.approx(np.zeros(3), abs=1e-12)
     assert np.sort(np.abs(directions @ axis)) == pytest.approx([0, 0, 1, 1], abs=0.1)
+
+
+@pytest.mark.parametrize(("share", "num_flat"), [(1.8, 2), (1.1, 0)])
+def test_a_body_that_lies_wider_than_high_has_flat_starts_too(share, num_flat):
+    flat = np.cross(UP, (0.4, 1.0, 0.2))
+    axis = flat / np.linalg.norm(flat)
+    R = np.column_stack([UP, np.cross(axis, UP), axis])
+    primitive = wedge_primitive()
+    extent = np.ptp(primitive.vertices, axis=0)
+    # It lies with x up; y is made wider than x, and z much longer than both.
+    stretch = np.array([1.0, share * extent[0] / extent[1], 4 * extent[0] / extent[2]])
+    spread = 0.3 * np.eye(3)  # a class whose members differ as much as that
+    longer = replace(primitive, vertices=primitive.vertices * stretch, log_scale_cov=spread)
+    truth = replace(_wedge_standing(R))
+    evidence = _evidence_of(truth, longer, truth.t + 2 * np.cross(axis, UP) + UP)
+    found = make_starts(longer, evidence, ("lying",))
+    # Across the long side the points are wider than high in any case.
+    along = [state for state in found[4:] if abs(state.R[:, 2] @ axis) > 0.9]
+    assert (len(along), len(found)) == (num_flat, 6 + num_flat)
+    for state in along:
+        own, seen = _mesh(state, longer).vertices @ state.R, evidence.points @ state.R
+        assert state.R[:, 0] == pytest.approx(UP, abs=1e-9)
+        assert np.ptp(own, axis=0) == pytest.approx(np.ptp(seen, axis=0), rel=0.05)
+        assert own.max(axis=0) == pytest.approx(seen.max(axis=0), abs=0.01)
+    for state in found[:4]:
+        assert state.log_scale[0] == state.log_scale[1]
 
 
 @pytest.mark.parametrize(
@@ -352,9 +377,9 @@ def test_starts_that_fall_behind_get_no_more_steps_but_are_kept(monkeypatch):
 
     monkeypatch.setattr(pruning, "refine", counting)
     found = search_starts(evidence, [(wedge_primitive(), 0.0)], replace(LIGHT, kept_share=0.25, prune_margin=0.0))
-    # Two of the quick steps for 8 + 8 + 4 starts; the other two for a quarter of them, with one of each hypothesis.
+    # Two of the quick steps for 8 + 8 + 6 starts; the other two for a quarter of them, with one of each hypothesis.
     (head, tail, middle, thorough) = counts
-    assert head == (2, 20)
+    assert head == (2, 22)
     assert tail[0] == 2
     assert 5 <= tail[1] <= 7
     assert middle[0] == 3

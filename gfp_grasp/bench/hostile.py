@@ -28,7 +28,7 @@ from gfp_grasp.bench.hostile_meshes import KINDS, hostile_mesh
 from gfp_grasp.bench.rows import Row
 from gfp_grasp.collision import DecomposeConfig, close_workers, decompose, hull, idle_pids
 from gfp_grasp.errors import GfpGraspError, InvalidOption
-from gfp_grasp.meshes import check_mesh, make_solid
+from gfp_grasp.meshes import check_mesh, make_solid, triangle_normals
 from gfp_grasp.types import CollisionMesh, ConvexPart
 
 BAD = ("crash", "hang", "invalid", "zombie")
@@ -303,7 +303,7 @@ def _convex(part: ConvexPart) -> bool:
     """Whether no corner stands out of any face that has a direction."""
     local = part.vertices - part.vertices.mean(axis=0)
     corners = local[part.faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = triangle_normals(corners)
     length, size = np.linalg.norm(normals, axis=1), float(np.ptp(local, axis=0).max())
     wide = length > 1e-9 * size**2
     normals = normals[wide] / length[wide, None]

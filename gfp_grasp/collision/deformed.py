@@ -20,6 +20,7 @@ from gfp_grasp.collision.convex import convex_parts, needed_corners
 from gfp_grasp.collision.levels import groups_of, merge_tree
 from gfp_grasp.collision.parts import diagonal_m, within_parts
 from gfp_grasp.errors import InvalidMesh, InvalidOption
+from gfp_grasp.meshes import triangle_normals
 from gfp_grasp.types import ConvexPart, GenericPrimitive
 
 # Lengths are shares of the template's diagonal, which was about 0.2 m where they were chosen.
@@ -190,6 +191,6 @@ def _barycentric(triangles: np.ndarray, points: np.ndarray) -> np.ndarray:
 
 def _frames(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Unit normals (n, 3), zero where degenerate, and sizes (n,) m: the root of twice the area."""
-    across = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    across = triangle_normals(triangles)
     area = np.linalg.norm(across, axis=1)
     return across / np.maximum(area, 1e-300)[:, None], np.sqrt(area)

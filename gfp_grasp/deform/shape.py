@@ -19,7 +19,7 @@ from gfp_grasp.deform.gfs import SnakeConfig, evolve
 from gfp_grasp.deform.patches import Patches, blend, make_patches
 from gfp_grasp.deform.template import TemplatePoints, patch_unit_m, template_points
 from gfp_grasp.errors import InvalidOption
-from gfp_grasp.meshes import crossing_faces, graph_laplacian, neighbour_average
+from gfp_grasp.meshes import crossing_faces, graph_laplacian, neighbour_average, triangle_normals
 from gfp_grasp.parallel import one_thread
 from gfp_grasp.transforms import apply_T, invert_T
 from gfp_grasp.types import FittedPrimitive, GenericPrimitive, LevelView
@@ -81,15 +81,10 @@ def damp_until_solid(vertices: np.ndarray, faces: np.ndarray, displacement: np.n
 
 
 def _bad_faces(before: np.ndarray, after: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    old, new = _cross(before, faces), _cross(after, faces)
+    old, new = triangle_normals(before[faces]), triangle_normals(after[faces])
     scale = np.linalg.norm(old, axis=1) * np.linalg.norm(new, axis=1) + 1e-30
     folded = np.flatnonzero(np.einsum("fi,fi->f", old, new) / scale < _FOLD_COSINE)
     return np.union1d(folded, crossing_faces(after, faces).ravel()).astype(np.int64)
-
-
-def _cross(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
-    corners = vertices[faces]
-    return np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
 
 
 @lru_cache(maxsize=32)

@@ -18,6 +18,7 @@ import numpy as np
 import trimesh
 
 from gfp_grasp.errors import InvalidMesh, InvalidOption
+from gfp_grasp.meshes import triangle_normals
 from gfp_grasp.types import ConvexPart
 
 _DENSITIES = (0.1, 30_000.0)  # kg/m3: from the lightest aerogel to beyond osmium
@@ -69,7 +70,7 @@ def mass_properties(
 def _shell_properties(triangles: np.ndarray, density_kg_m2: float) -> MassProperties:
     """Properties of triangles (f, 3, 3) m with a mass on their surface."""
     # The midpoints of the edges, weighted alike, integrate quadratics over a triangle exactly.
-    across = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    across = triangle_normals(triangles)
     mass = np.repeat(np.linalg.norm(across, axis=1) / 2 * density_kg_m2 / 3, 3)
     points = ((triangles + np.roll(triangles, 1, axis=1)) / 2).reshape(-1, 3)
     centre = mass @ points / mass.sum()

@@ -10,7 +10,14 @@ from gfp_grasp.meshes.load import (
     read_content,
 )
 from gfp_grasp.meshes.solid import make_solid
-from gfp_grasp.meshes.surface import crossing_faces, graph_laplacian, neighbour_average, sample_surface, vertex_normals
+from gfp_grasp.meshes.surface import (
+    crossing_faces,
+    graph_laplacian,
+    neighbour_average,
+    sample_surface,
+    triangle_normals,
+    vertex_normals,
+)
 
 __all__ = [
     "LARGEST_BYTES",
@@ -25,5 +32,6 @@ __all__ = [
     "neighbour_average",
     "read_content",
     "sample_surface",
+    "triangle_normals",
     "vertex_normals",
 ]

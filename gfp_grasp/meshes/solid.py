@@ -15,7 +15,7 @@ from scipy.spatial import KDTree
 
 from gfp_grasp.errors import InvalidMesh
 from gfp_grasp.meshes.load import check_mesh
-from gfp_grasp.meshes.surface import crossing_faces, sample_surface, vertex_normals
+from gfp_grasp.meshes.surface import crossing_faces, sample_surface, triangle_normals, vertex_normals
 
 NUM_CELLS = 96
 # Half of the wall that a sheet gets, in cells: below about 0.9 the grid lets it break up.
@@ -108,7 +108,7 @@ def _level(field: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     vertices = place[:, 0] * (1 - share) + place[:, 1] * share
     outward = (place[:, 1] - place[:, 0])[faces].sum(axis=1)
     corners = vertices[faces]
-    turned = np.einsum("fx,fx->f", np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), outward) < 0
+    turned = np.einsum("fx,fx->f", triangle_normals(corners), outward) < 0
     faces[turned] = faces[turned][:, ::-1]
     return vertices, faces
 

@@ -12,6 +12,12 @@ import trimesh
 from scipy import sparse
 
 from gfp_grasp.errors import InvalidMesh, InvalidOption
+from gfp_grasp.transforms import cross
+
+
+def triangle_normals(triangles: np.ndarray) -> np.ndarray:
+    """Normals (f, ..., 3) of triangles (f, 3, ..., 3), each twice as long as the area of its triangle."""
+    return cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
 
 
 def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
@@ -26,7 +32,7 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """
     corners = np.asarray(vertices, dtype=np.float64)[faces]
     # The cross product is twice the area long: the weight comes for free.
-    weighted = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    weighted = triangle_normals(corners)
     index = np.asarray(faces).ravel()
     repeated = np.repeat(weighted, 3, axis=0)
     normals = np.stack([np.bincount(index, repeated[:, i], minlength=len(vertices)) for i in range(3)], axis=1)
@@ -55,7 +61,7 @@ def sample_surface(
         raise InvalidOption(f"count is {count}; at least one sample must be drawn")
     corners = np.asarray(mesh.vertices, dtype=np.float64)[mesh.faces]
     edge_a, edge_b = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
-    normals = np.cross(edge_a, edge_b)
+    normals = cross(edge_a, edge_b)
     doubled_areas = np.linalg.norm(normals, axis=1)
     cumulated = np.cumsum(doubled_areas)
     if len(cumulated) == 0 or not cumulated[-1] > 0:
@@ -189,7 +195,7 @@ def _crossing(pairs: np.ndarray, corners: np.ndarray, touch: float) -> np.ndarra
         height = np.einsum("pcx,px->pc", corners[a], normals[b]) - offsets[b, None]
         keep = (height.min(axis=1) < -touch) & (height.max(axis=1) > touch)
         pairs, heights = pairs[keep], [h[keep] for h in heights] + [height[keep]]
-    line = np.cross(normals[pairs[:, 0]], normals[pairs[:, 1]])
+    line = cross(normals[pairs[:, 0]], normals[pairs[:, 1]])
     length = np.linalg.norm(line, axis=1)
     line = np.divide(line, length[:, None], out=np.zeros_like(line), where=length[:, None] > 0)
     low, high = zip(*(_interval(corners[pairs[:, i]], heights[i], line, touch) for i in (0, 1)), strict=True)
@@ -199,7 +205,7 @@ def _crossing(pairs: np.ndarray, corners: np.ndarray, touch: float) -> np.ndarra
 
 def _planes(corners: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Unit normals (f, 3), zero for a face without area, and offsets (f,) m."""
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = triangle_normals(corners)
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     normals = np.divide(normals, lengths, out=np.zeros_like(normals), where=lengths > 0)
     return normals, np.einsum("fx,fx->f", normals, corners[:, 0])

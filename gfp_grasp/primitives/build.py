@@ -12,7 +12,7 @@ import numpy as np
 import trimesh
 
 from gfp_grasp.errors import BuildFailed, GfpGraspError, InvalidOption
-from gfp_grasp.meshes import check_mesh, crossing_faces, make_solid, vertex_normals
+from gfp_grasp.meshes import check_mesh, crossing_faces, make_solid, triangle_normals, vertex_normals
 from gfp_grasp.parallel import Progress
 from gfp_grasp.primitives.correspondence import Correspondence, CorrespondenceConfig, TemplateFitter
 from gfp_grasp.primitives.mls import project
@@ -198,7 +198,7 @@ def _smooth(mean: np.ndarray, faces: np.ndarray, width: float) -> np.ndarray:
 
 def _vertex_areas(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     corners = vertices[faces]
-    area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    area = np.linalg.norm(triangle_normals(corners), axis=1)
     return np.bincount(faces.ravel(), np.repeat(area / 6, 3), minlength=len(vertices))
 
 

@@ -11,7 +11,7 @@ from scipy.sparse.linalg import splu
 from scipy.spatial import KDTree
 
 from gfp_grasp.errors import InvalidOption
-from gfp_grasp.meshes import vertex_normals
+from gfp_grasp.meshes import triangle_normals, vertex_normals
 from gfp_grasp.primitives.surface import Surface, folded_faces, relax_folds
 
 # Matches whose normals differ by more than 60 degrees are on another sheet of the surface.
@@ -206,7 +206,7 @@ def _operators(
     """Lumped mass (m^2), thin-plate bending K M^-1 K (1/m^2), and a Laplacian that binds close sheets together."""
     corners = vertices[faces]
     stiffness = sparse.csc_matrix((len(vertices), len(vertices)))
-    double_area = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    double_area = np.linalg.norm(triangle_normals(corners), axis=1)
     double_area = np.maximum(double_area, 1e-6 * double_area.mean())
     for i in range(3):
         j, k = (i + 1) % 3, (i + 2) % 3

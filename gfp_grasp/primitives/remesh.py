@@ -10,7 +10,7 @@ import trimesh
 from scipy.spatial import KDTree
 
 from gfp_grasp.errors import InvalidMesh, InvalidOption
-from gfp_grasp.meshes import vertex_normals
+from gfp_grasp.meshes import triangle_normals, vertex_normals
 from gfp_grasp.primitives.surface import Surface, untangle
 
 # Botsch and Kobbelt 2004: splitting above 4/3 and collapsing below 4/5 of the wanted length cannot undo each other.
@@ -212,7 +212,7 @@ def _stays_flat(vertices, faces, normals, index: set[int], ends: tuple[int, int]
     corners = vertices[faces[index_array]]
     for end in ends:
         corners[faces[index_array] == end] = place
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    cross = triangle_normals(corners)
     area = np.linalg.norm(cross, axis=1)
     longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
     if (area < 0.1 * longest**2).any():
@@ -285,5 +285,5 @@ def _relax(vertices: np.ndarray, faces: np.ndarray, surface: Surface, diagonal: 
 
 def _unit_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     corners = vertices[faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = triangle_normals(corners)
     return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)

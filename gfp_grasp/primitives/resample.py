@@ -12,7 +12,7 @@ from scipy.sparse.linalg import splu
 from scipy.spatial import KDTree
 
 from gfp_grasp.errors import InvalidOption
-from gfp_grasp.meshes import crossing_faces, vertex_normals
+from gfp_grasp.meshes import crossing_faces, triangle_normals, vertex_normals
 from gfp_grasp.primitives.remesh import _rings
 from gfp_grasp.primitives.surface import Surface
 
@@ -134,7 +134,7 @@ def _collapse_all(shapes: np.ndarray, faces: np.ndarray, limit: float) -> list[t
 def _quadrics(points: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Plane quadrics (v, m, 4, 4) in m^2, weighted by the root of the area: by area, thin rims would count nothing."""
     corners = points[faces]
-    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    cross = triangle_normals(corners)
     area = np.linalg.norm(cross, axis=2, keepdims=True)
     normal = cross / np.maximum(area, 1e-300)
     plane = np.concatenate([normal, -(normal * corners[:, 0]).sum(axis=2, keepdims=True)], axis=2)
@@ -153,8 +153,8 @@ def _legal(points, faces, index: set[int], i: int, j: int, ring: set[int], limit
     old = faces[np.fromiter(index, dtype=int)]
     new = np.where(old == i, j, old)
     before, after = points[old], points[new]
-    normal = np.cross(before[:, 1] - before[:, 0], before[:, 2] - before[:, 0])
-    cross = np.cross(after[:, 1] - after[:, 0], after[:, 2] - after[:, 0])
+    normal = triangle_normals(before)
+    cross = triangle_normals(after)
     area = np.linalg.norm(cross, axis=2)
     longest = np.linalg.norm(after - np.roll(after, 1, axis=1), axis=3).max(axis=1)
     if (area[:, 0] < _MIN_HEIGHT * longest[:, 0] ** 2).any():
@@ -177,7 +177,7 @@ def _carrier(dense: np.ndarray, faces: np.ndarray, kept: np.ndarray, thin: np.nd
     """Least-squares map (w, v) that takes dense vertices to thin ones, so that thin triangles run through the dense."""
     triangles = dense[kept][thin]
     normals = vertex_normals(dense, faces)
-    thin_normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    thin_normals = triangle_normals(triangles)
     thin_normals /= np.maximum(np.linalg.norm(thin_normals, axis=1, keepdims=True), 1e-300)
     face, weight = _nearest_faces(dense, normals, triangles, thin_normals)
     rows = np.repeat(np.arange(len(dense)), 3)

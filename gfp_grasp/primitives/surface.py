@@ -8,7 +8,7 @@ import numpy as np
 import trimesh
 from scipy.spatial import KDTree
 
-from gfp_grasp.meshes import crossing_faces, neighbour_average, sample_surface, vertex_normals
+from gfp_grasp.meshes import crossing_faces, neighbour_average, sample_surface, triangle_normals, vertex_normals
 
 
 class Surface:
@@ -87,7 +87,7 @@ def _mean_distance(source: Surface, target: Surface) -> float:
 
 
 def _face_normals(triangles: np.ndarray) -> np.ndarray:
-    normals = np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0])
+    normals = triangle_normals(triangles)
     return normals / np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-300)
 
 
@@ -148,7 +148,7 @@ def relax_folds(
 def folded_faces(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """(f,) bool: faces that lean far away from the mean normal of the vertices around them."""
     corners = vertices[faces]
-    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = triangle_normals(corners)
     around = vertex_normals(vertices, faces)[faces].sum(axis=1)
     lengths = np.linalg.norm(normals, axis=1) * np.linalg.norm(around, axis=1)
     return (normals * around).sum(axis=1) < _LEAN * lengths

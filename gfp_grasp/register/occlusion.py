@@ -14,6 +14,7 @@ from scipy import ndimage
 from scipy.spatial import KDTree
 
 from gfp_grasp.camera import cast_rays
+from gfp_grasp.meshes import triangle_normals
 from gfp_grasp.register.config import RefineConfig
 from gfp_grasp.register.state import PoseShape
 from gfp_grasp.types import DepthImage, GenericPrimitive, LevelView, Silhouette
@@ -125,11 +126,19 @@ def blocking_cost(state: PoseShape, primitive: GenericPrimitive, evidence: Level
     if evidence.viewpoint is None:
         return 0.0
     sight = evidence.points - evidence.viewpoint
-    distance, _, _ = cast_rays([(_vertices(state, primitive), primitive.faces)], evidence.viewpoint, sight)
+    vertices = _vertices(state, primitive)
+    faces = primitive.faces[_faces_toward(vertices, primitive.faces, evidence.viewpoint)]
+    distance, _, _ = cast_rays([(vertices, faces)], evidence.viewpoint, sight)
     length, unit_m = np.linalg.norm(sight, axis=1), config.unit_of(primitive)
     blocked = float((distance * length < length - _HIDDEN * unit_m).mean())
     robust_m, sigma_m = config.steps[-1] * unit_m, np.hypot(evidence.sigma_m, config.misfit * unit_m)
     return 0.5 * config.effective_points * blocked * float((robust_m / sigma_m) ** 2)
+
+
+def _faces_toward(vertices: np.ndarray, faces: np.ndarray, viewpoint: np.ndarray) -> np.ndarray:
+    """(f,) bool: the faces turned to the viewpoint, one of which a ray from outside a closed surface hits first."""
+    triangles = vertices[faces]
+    return np.einsum("fi,fi->f", triangle_normals(triangles), viewpoint - triangles[:, 0]) > 0
 
 
 def truncation_cost(state: PoseShape, primitive: GenericPrimitive, evidence: LevelView) -> float:

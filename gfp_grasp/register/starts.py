@@ -15,6 +15,7 @@ _STANDING_SIGMA_RAD = np.deg2rad(1.0)
 _LYING_SIGMA_RAD = np.deg2rad(15.0)
 _YAWS = 8  # of a body without symmetry
 _LEAST_SCALE = 0.01  # of a start: points may lie in a plane, or below what is taken for the floor
+_FLAT = 1.15  # width over height of the points from which on a lying body may be flat; ours
 _CUT = 0.5  # cosine from which on a side counts as cut off
 
 
@@ -27,7 +28,9 @@ def make_starts(primitive: GenericPrimitive, evidence: LevelView, hypotheses: tu
     found = []
     for hypothesis in [way for way in hypotheses if way in primitive.spec.rests] or hypotheses:
         if hypothesis == "lying":
-            found += [_lying(primitive, evidence, box) for box in _lying_boxes(evidence)]
+            boxes = _lying_boxes(evidence)
+            found += [_lying(primitive, evidence, box) for box in boxes]
+            found += [_lying(primitive, evidence, box, flat=True) for box in boxes if _is_flat(box, evidence)]
             continue
         box, toward = _box_along(evidence, hypothesis), _toward_viewer(evidence)
         for yaw in _yaws(primitive):
@@ -66,6 +69,7 @@ class _LyingBox:
         length: Both ends along the axis, m.
         top: Height of the highest points, m.
         middle: Median of the points along flat, m.
+        width: Both ends along flat, m.
     """
 
     axis: np.ndarray
@@ -73,6 +77,7 @@ class _LyingBox:
     length: tuple[float, float]
     top: float
     middle: float
+    width: tuple[float, float]
 
 
 @lru_cache(maxsize=8)  # one evidence serves several primitives
@@ -101,7 +106,9 @@ def _lying_boxes(evidence: LevelView) -> tuple[_LyingBox, ...]:
         flat /= np.linalg.norm(flat)
         along, height, aside = (evidence.points @ np.column_stack([axis, evidence.up, flat])).T
         low, high = (float(a) for a in np.quantile(along, (0.005, 0.995)))
-        found.append(_LyingBox(axis, flat, (low, high), float(np.quantile(height, 0.99)), float(np.median(aside))))
+        left, right = (float(a) for a in np.quantile(aside, (0.01, 0.99)))
+        top, middle = float(np.quantile(height, 0.99)), float(np.median(aside))
+        found.append(_LyingBox(axis, flat, (low, high), top, middle, (left, right)))
     return tuple(found)
 
 
@@ -127,22 +134,30 @@ def _standing(
         + box.deep * (box.near - wide * float(depth.max()))
         + box.axis * (low - long * float(along.min()))
     )
-    return _state(primitive, R, centre, wide, long, _STANDING_SIGMA_RAD, hypothesis)
+    return _state(primitive, R, centre, (wide, wide, long), _STANDING_SIGMA_RAD, hypothesis)
 
 
-def _lying(primitive: GenericPrimitive, evidence: LevelView, box: _LyingBox) -> PoseShape:
-    """A start that lies along an axis, on the support, and is as high as the points."""
+def _lying(primitive: GenericPrimitive, evidence: LevelView, box: _LyingBox, *, flat: bool = False) -> PoseShape:
+    """A start that lies along an axis, on the support, and is as high as the points; a flat one is as wide as they."""
     R = _frame(box.axis, evidence.up)
-    along, height = (primitive.vertices @ (R.T @ np.column_stack([box.axis, evidence.up]))).T
+    along, height, aside = (primitive.vertices @ (R.T @ np.column_stack([box.axis, evidence.up, box.flat]))).T
     low, high = box.length
     long = max((high - low) / float(np.ptp(along)), _LEAST_SCALE)
-    wide = max((box.top - evidence.floor_m) / float(np.ptp(height)), _LEAST_SCALE)
+    tall = max((box.top - evidence.floor_m) / float(np.ptp(height)), _LEAST_SCALE)
+    wide, middle = tall, box.middle
+    if flat:
+        wide, middle = (box.width[1] - box.width[0]) / float(np.ptp(aside)), sum(box.width) / 2
     centre = (
-        evidence.up * (evidence.floor_m - wide * float(height.min()))
-        + box.flat * box.middle
+        evidence.up * (evidence.floor_m - tall * float(height.min()))
+        + box.flat * middle
         + box.axis * (low - long * float(along.min()))
     )
-    return _state(primitive, R, centre, wide, long, _LYING_SIGMA_RAD, "lying")
+    return _state(primitive, R, centre, (tall, wide, long), _LYING_SIGMA_RAD, "lying")
+
+
+def _is_flat(box: _LyingBox, evidence: LevelView) -> bool:
+    """Whether the points are wider than they are high, as those of a round body that lies never are."""
+    return box.width[1] - box.width[0] > _FLAT * (box.top - evidence.floor_m)
 
 
 def _frame(axis: np.ndarray, facing: np.ndarray) -> np.ndarray:
@@ -156,8 +171,7 @@ def _state(
     primitive: GenericPrimitive,
     R: np.ndarray,
     centre: np.ndarray,
-    wide: float,
-    long: float,
+    scale: tuple[float, float, float],
     axis_sigma_rad: float,
     hypothesis: str,
 ) -> PoseShape:
@@ -165,7 +179,7 @@ def _state(
     return PoseShape(
         R=R,
         t=centre,
-        log_scale=np.clip(np.log([wide, wide, long]), -sigma, sigma),
+        log_scale=np.clip(np.log(scale), -sigma, sigma),
         coefficients=np.zeros(len(primitive.modes)),
         axis_world=R[:, 2],
         axis_sigma_rad=float(axis_sigma_rad),

@@ -8,6 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from gfp_grasp.meshes import triangle_normals
 from gfp_grasp.types import GenericPrimitive
 
 
@@ -40,7 +41,7 @@ def surface_samples(primitive: GenericPrimitive, count: int = 1500) -> SurfaceSa
     share and the samples follow the mesh, not a random stream.
     """
     triangles = primitive.vertices[primitive.faces]
-    area = 0.5 * np.linalg.norm(np.cross(triangles[:, 1] - triangles[:, 0], triangles[:, 2] - triangles[:, 0]), axis=1)
+    area = 0.5 * np.linalg.norm(triangle_normals(triangles), axis=1)
     cumulative = np.cumsum(area)
     face = np.searchsorted(cumulative, (np.arange(count) + 0.5) / count * cumulative[-1])
     face = np.minimum(face, len(area) - 1)

@@ -16,7 +16,8 @@ import numpy as np
 
 from gfp_grasp.meshes import vertex_normals
 from gfp_grasp.register.config import RefineConfig
-from gfp_grasp.register.posterior import NormalEquations, ResidualTerm, StateSurface, cross
+from gfp_grasp.register.posterior import NormalEquations, ResidualTerm, StateSurface
+from gfp_grasp.transforms import cross
 from gfp_grasp.types import OUTSIDE, GenericPrimitive, LevelView, Silhouette
 
 # In the search for the nearest sample, normals 60 degrees apart count like a distance of this share of the unit.

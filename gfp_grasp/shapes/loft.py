@@ -14,6 +14,8 @@ import trimesh
 from numpy.typing import ArrayLike
 from scipy.interpolate import CubicSpline
 
+from gfp_grasp.meshes import triangle_normals
+
 
 def smooth_noise(rng: np.random.Generator, t: np.ndarray, *, amplitude: float, knots: int) -> np.ndarray:
     """Smooth random curve (n,) over t in 0 .. 1, a natural cubic spline through normal values at even knots."""
@@ -218,7 +220,7 @@ def _smallest_altitudes(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     """Smallest altitude (v,) m of the faces around each vertex: moved by less, no sliver turns over."""
     corners = vertices[faces]
     edges = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2)
-    doubled = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    doubled = np.linalg.norm(triangle_normals(corners), axis=1)
     smallest = np.full(len(vertices), np.inf)
     np.minimum.at(smallest, faces.ravel(), np.repeat(doubled / edges.max(axis=1), 3))
     return smallest

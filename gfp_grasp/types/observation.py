@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -212,7 +213,10 @@ class LevelView:
 
     def few(self, count: int) -> LevelView:
         """The same with at most count of its points, always the same ones, drawn without order."""
-        if len(self.points) <= count:
-            return self
-        drawn = np.sort(np.random.default_rng(0).permutation(len(self.points))[:count])
-        return replace(self, points=self.points[drawn], normals=self.normals[drawn])
+        return self if len(self.points) <= count else _drawn(self, count)
+
+
+@lru_cache(maxsize=8)  # a fit asks for the same few sizes again and again
+def _drawn(view: LevelView, count: int) -> LevelView:
+    drawn = np.sort(np.random.default_rng(0).permutation(len(view.points))[:count])
+    return replace(view, points=view.points[drawn], normals=view.normals[drawn])
