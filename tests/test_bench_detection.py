@@ -13,6 +13,7 @@ from scipy.spatial import KDTree
 from gfp_grasp.bench import detection
 from gfp_grasp.bench.detection import bench_detection, best_iou, match_clutter, match_table, name_capture, name_views
 from gfp_grasp.camera import SensorModel
+from gfp_grasp.errors import NothingDetected
 from gfp_grasp.train import Example
 from gfp_grasp.types import DepthImage
 
@@ -92,6 +93,15 @@ def test_the_biggest_object_of_a_capture_is_named(tmp_path, monkeypatch):
     assert how == {"up": None}
     np.testing.assert_array_equal(view.T_world_camera, np.eye(4))
     np.testing.assert_array_equal(view.K, K)
+
+
+def test_a_capture_that_is_refused_is_a_row_that_says_why(tmp_path, monkeypatch):
+    def detect(view, **how):
+        raise NothingDetected("no plane")
+
+    monkeypatch.setattr(detection, "detect_objects", detect)
+    np.savez(tmp_path / "room.npz", depth_m=np.full((12, 16), 0.7), K=np.eye(3))
+    assert name_capture(tmp_path / "room.npz") == {"detections": 0, "refused": "no plane"}
 
 
 def example(

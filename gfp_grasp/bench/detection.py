@@ -24,6 +24,7 @@ from gfp_grasp.camera import (
     view_from_points,
 )
 from gfp_grasp.detect import classify, detect_objects
+from gfp_grasp.errors import NothingDetected
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.shapes import FAMILIES, make_shape, split_seeds
 from gfp_grasp.train import CACHE, Example, alike_in, assorted_examples, class_examples
@@ -130,7 +131,10 @@ def name_capture(path: Path) -> dict[str, Any]:
     """Category of the biggest object of a picture whose up is unknown."""
     with np.load(path) as capture:
         view = DepthImage(capture["depth_m"], capture["K"], np.eye(4))
-    found = detect_objects(view, up=None)
+    try:
+        found = detect_objects(view, up=None)
+    except NothingDetected as error:
+        return {"detections": 0, "refused": str(error)}
     return {
         "detections": len(found),
         "category": found[0].category,
