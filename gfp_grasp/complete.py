@@ -13,12 +13,13 @@ from numpy.typing import ArrayLike
 from gfp_grasp.arguments import checked_direction, checked_height, checked_place
 from gfp_grasp.clouds import order_points
 from gfp_grasp.collision import CollisionConfig
-from gfp_grasp.completion import Completion
+from gfp_grasp.completion import CompletedScene, Completion
 from gfp_grasp.deform import DeformConfig, deform
 from gfp_grasp.detect import DetectConfig, Detector, clean_cloud, detect_single, get_detector
 from gfp_grasp.errors import FitDiverged, InvalidOption, InvalidView, UnknownCategory
 from gfp_grasp.level import level_frame, make_level_view, mark_observed, move_detection
 from gfp_grasp.meshes import crossing_faces
+from gfp_grasp.overlap import make_way
 from gfp_grasp.parallel import one_thread
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.recognition import SURE_SCORE, candidate_primitives, recognise, sureness
@@ -33,6 +34,7 @@ from gfp_grasp.types import (
     LevelView,
     RangeImage,
     SensorProfile,
+    SupportPlane,
     View,
     get_sensor,
 )
@@ -138,7 +140,7 @@ def complete_scene(
     detector: str | Detector = "tabletop",
     config: CompleteConfig | None = None,
     seed: int = 0,
-) -> tuple[Completion, ...]:
+) -> CompletedScene:
     """Complete every object of a depth picture, largest first.
 
     Args:
@@ -149,7 +151,8 @@ def complete_scene(
         seed: Sets every random choice.
 
     Returns:
-        One completion an object; an object that no primitive fits is left out with a warning.
+        One completion an object, and what makes a scene of them; an object that no primitive fits is left out with a
+        warning.
 
     Raises:
         NothingDetected: No object stands out from the support.
@@ -162,7 +165,8 @@ def complete_scene(
     if not isinstance(image, DepthImage):
         raise InvalidView(f"image is a {type(image).__name__}; a gfp_grasp.types.DepthImage is expected")
     done, failure = [], None
-    for detection in get_detector(detector)(image, up=checked_direction(up)):
+    detections = get_detector(detector)(image, up=checked_direction(up))
+    for detection in detections:
         try:
             done.append(complete_detection(detection, config=config, seed=seed))
         except FitDiverged as error:
@@ -170,7 +174,7 @@ def complete_scene(
             failure = error
     if failure is not None and not done:
         raise FitDiverged(f"no object of the picture could be completed; the last: {failure}")
-    return tuple(done)
+    return _as_scene(done, image, next((d.support for d in detections if d.support is not None), None))
 
 
 @one_thread()
@@ -187,6 +191,22 @@ def complete_detection(detection: Detection, *, config: CompleteConfig | None = 
         FitDiverged: No primitive could be fitted.
     """
     return _complete(detection, np.eye(4), config or CompleteConfig(), seed, timings_s={})
+
+
+def _as_scene(done: list[Completion], image: DepthImage, support: SupportPlane | None) -> CompletedScene:
+    """The completions, none of which reaches into another."""
+    first = done[0].detection
+    apart = make_way(
+        [completion.shape for completion in done],
+        up=first.up if support is None else support.normal,
+        floor_m=None if support is None else support.height_m,
+        sigma_m=first.sensor.sigma_m,
+    )
+    completions = tuple(
+        replace(completion, shape=shape, bounds=bounds)
+        for completion, shape, bounds in zip(done, apart.shapes, apart.bounds, strict=True)
+    )
+    return CompletedScene(completions, image, support, tuple(apart.gave_way))
 
 
 def _detect(

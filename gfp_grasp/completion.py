@@ -1,18 +1,34 @@
-"""What a completion gives back: the shape, what it came from, and its collision parts at first access."""
+"""What a completion gives back: the shape, what it came from, and its collision parts at first access; and scenes."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Container, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import count
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal, overload
 
 import numpy as np
 import trimesh
 
 from gfp_grasp.collision import CollisionConfig
-from gfp_grasp.types import CollisionMesh, CompletedShape, Detection, FittedPrimitive
+from gfp_grasp.errors import InvalidOption
+from gfp_grasp.overlap import GaveWay
+from gfp_grasp.types import (
+    CollisionMesh,
+    CompletedShape,
+    DepthImage,
+    Detection,
+    FittedPrimitive,
+    SupportPlane,
+    default_density,
+)
+
+if TYPE_CHECKING:
+    import mujoco
+
+    from gfp_grasp.export import Body
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,11 +39,13 @@ class Completion:
         shape: The completed surface, what of it was seen, and how sure the rest is.
         detection: The observation.
         collision_config: Budget of its collision parts.
+        bounds: (k, 4) half-spaces that its parts keep to, unit normal and offset: normal @ x <= offset, m.
     """
 
     shape: CompletedShape
     detection: Detection
     collision_config: CollisionConfig = field(default_factory=CollisionConfig, kw_only=True)
+    bounds: np.ndarray = field(default_factory=lambda: np.empty((0, 4)), kw_only=True)
 
     @property
     def mesh(self) -> trimesh.Trimesh:
@@ -81,9 +99,9 @@ class Completion:
 
     def collide(self, config: CollisionConfig) -> CollisionMesh:
         """Convex parts within another budget than the completion's own."""
-        from gfp_grasp.collision import collision_of
+        from gfp_grasp.collision import collision_of, within_bounds
 
-        return collision_of(self.shape, config=config)
+        return within_bounds(collision_of(self.shape, config=config), self.bounds)
 
     @property
     def parts(self) -> tuple[trimesh.Trimesh, ...]:
@@ -94,12 +112,23 @@ class Completion:
     def _part_meshes(self) -> tuple[trimesh.Trimesh, ...]:
         return tuple(part.to_trimesh() for part in self.collision.parts)
 
-    def export(self, path: str | Path, *, assets: Literal["embedded", "files"] = "embedded") -> Path:
+    def export(
+        self,
+        path: str | Path,
+        *,
+        name: str | None = None,
+        assets: Literal["embedded", "files"] = "embedded",
+        contact: bool = True,
+    ) -> Path:
         """Write the completion; the suffix chooses: .obj .ply .stl .glb (mesh), .xml (MJCF), .urdf.
+
+        Its mass is that of the class's mean density: over the walls of an open vessel, over the whole of what is solid.
 
         Args:
             path: Where to; folders are made.
+            name: Name of the body; None takes the class.
             assets: Where .xml has its meshes: in itself, or in files beside it as .urdf always does.
+            contact: Parts in .xml carry contact parameters with which things stand still at MuJoCo's default options.
 
         Returns:
             The path written.
@@ -109,6 +138,138 @@ class Completion:
         """
         from gfp_grasp.export import export_completion, legal_name, needs_parts
 
-        parts = self.parts if needs_parts(path) else ()
-        name = legal_name(self.category or "object")
-        return export_completion(self.mesh, parts, Path(path), name=name, up=self.detection.up, assets=assets)
+        return export_completion(
+            self.mesh,
+            self.parts if needs_parts(path) else (),
+            Path(path),
+            name=name or legal_name(self.category or "object"),
+            density=self.density_kg_m3,
+            up=self.detection.up,
+            assets=assets,
+            contact=contact,
+        )
+
+    def add_to(self, spec: mujoco.MjSpec, prefix: str = "", *, name: str | None = None, contact: bool = True) -> str:
+        """Add the completion to a user's own scene as a body that is free to move.
+
+        Args:
+            spec: The scene; its world is the input's frame.
+            prefix: Goes before all names that are added.
+            name: Name of the body; None takes the class, with a number where that is taken.
+            contact: As in `export`.
+
+        Returns:
+            The name of the body, with its prefix.
+
+        Raises:
+            InvalidOption: An illegal name, or one that is taken.
+        """
+        from gfp_grasp.export import body_text, legal_name
+
+        taken = {body.name for body in spec.bodies}
+        if name is None:
+            name = free_name(legal_name(self.category or "object"), {t[len(prefix) :] for t in taken})
+        elif prefix + name in taken:
+            raise InvalidOption(f"the scene has a body {prefix + name!r} already: give another name or prefix")
+        _attach(spec, body_text(self.body(name), contact=contact), prefix)
+        return prefix + name
+
+    def body(self, name: str) -> Body:
+        """What is written of it: meshes in a frame that stands in the middle of its foot, and its weight."""
+        from gfp_grasp.export import foot_pose, make_body
+
+        T = foot_pose(self.mesh, self.parts, self.detection.up)
+        return make_body(self.mesh, self.parts, name=name, density=self.density_kg_m3, T_world_body=T)
+
+    @property
+    def density_kg_m3(self) -> float:
+        """The mean density of its class; of something solid where no primitive was fitted."""
+        fit = self.shape.fit
+        low, high = default_density(hollow=False) if fit is None else fit.primitive.spec.density_kg_m3
+        return (low + high) / 2
+
+
+@dataclass(frozen=True, eq=False)
+class CompletedScene(Sequence[Completion]):
+    """The completed objects of one picture, largest first.
+
+    Attributes:
+        completions: The objects.
+        view: The picture.
+        support: What they stand on; None where a detector does not tell.
+        gave_way: Which objects were cut back where they reached into others.
+    """
+
+    completions: tuple[Completion, ...]
+    view: DepthImage
+    support: SupportPlane | None
+    gave_way: tuple[GaveWay, ...] = ()
+
+    @overload
+    def __getitem__(self, index: int) -> Completion: ...
+    @overload
+    def __getitem__(self, index: slice) -> tuple[Completion, ...]: ...
+    def __getitem__(self, index: int | slice) -> Completion | tuple[Completion, ...]:
+        """One completion, or several."""
+        return self.completions[index]
+
+    def __len__(self) -> int:
+        """Number of objects."""
+        return len(self.completions)
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """A name of its own for each object: its class, with a number from the second of a class on."""
+        from gfp_grasp.export import legal_name
+
+        names: list[str] = []
+        for completion in self.completions:
+            names.append(free_name(legal_name(completion.category or "object"), set(names)))
+        return tuple(names)
+
+    @property
+    def up(self) -> np.ndarray:
+        """(3,) normal of what the objects stand on."""
+        return self.completions[0].detection.up if self.support is None else self.support.normal
+
+    def export(
+        self, path: str | Path, *, assets: Literal["embedded", "files"] = "embedded", contact: bool = True
+    ) -> Path:
+        """Write all objects into one file; the suffix chooses: .xml (MJCF), .urdf, .glb, and .obj .ply .stl (one mesh).
+
+        Args:
+            path: Where to; folders are made.
+            assets: Where .xml has its meshes: in itself, or in files beside it as .urdf always does.
+            contact: As in `Completion.export`.
+
+        Returns:
+            The path written.
+
+        Raises:
+            InvalidOption: Another suffix; the message lists these.
+        """
+        from gfp_grasp.export import export_bodies
+
+        floor_m = None if self.support is None else self.support.height_m
+        return export_bodies(self.bodies(), path, up=self.up, floor_m=floor_m, assets=assets, contact=contact)
+
+    def add_to(self, spec: mujoco.MjSpec, prefix: str = "", *, contact: bool = True) -> tuple[str, ...]:
+        """Add all objects to a user's own scene as free bodies, whose names are returned; see `Completion.add_to`."""
+        return tuple(completion.add_to(spec, prefix, contact=contact) for completion in self.completions)
+
+    def bodies(self) -> list[Body]:
+        """What is written of each object."""
+        return [completion.body(name) for name, completion in zip(self.names, self.completions, strict=True)]
+
+
+def free_name(name: str, taken: Container[str]) -> str:
+    """The name, or the name with the first number from 2 on that is not taken."""
+    if name not in taken:
+        return name
+    return next(numbered for numbered in (f"{name}_{i}" for i in count(2)) if numbered not in taken)
+
+
+def _attach(spec: mujoco.MjSpec, text: str, prefix: str) -> None:
+    import mujoco  # a scene of MuJoCo's came, so it is loaded
+
+    spec.attach(mujoco.MjSpec.from_string(text), prefix=prefix or None, frame=spec.worldbody.add_frame())

@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import re
 import zipfile
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -64,7 +64,7 @@ def complete_capture(
     sensor: str = "tabletop",
     config: CompleteConfig | None = None,
     seed: int = 0,
-) -> tuple[Completion, ...]:
+) -> Sequence[Completion]:
     """Complete the one object whose points are known, or else every object of the picture.
 
     Args:

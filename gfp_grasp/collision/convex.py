@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from functools import cache
 from itertools import product
 
@@ -11,7 +12,7 @@ import numpy as np
 from scipy.spatial import ConvexHull
 
 from gfp_grasp.collision.parts import NEEDLE, area_vectors, lengths, six_volumes
-from gfp_grasp.types import ConvexPart
+from gfp_grasp.types import CollisionMesh, ConvexPart
 
 # MuJoCo 3.17 refuses a mesh below 1e-15 m3 and a body whose inertia is below 1e-15 kg m2. A crumb of 0.5 mm passes both
 # at the density of water, and stops no finger where it is missing.
@@ -29,6 +30,24 @@ def convex_part(points: np.ndarray, *, max_vertices: int | None = None) -> Conve
     """
     kept, _ = convex_parts([points], max_vertices=max_vertices)
     return kept[0] if kept else None
+
+
+def within_bounds(collision: CollisionMesh, bounds: np.ndarray) -> CollisionMesh:
+    """The same with parts that keep to half-spaces (k, 4), unit normal and offset: normal @ x <= offset, m.
+
+    What of a part lies beyond is put into the plane; a part of which nothing solid is left falls away.
+    """
+    parts: list[ConvexPart] = []
+    for part in collision.parts:
+        points = part.vertices
+        for normal, offset in zip(bounds[:, :3], bounds[:, 3], strict=True):
+            beyond = points @ normal - offset
+            if beyond.max() > 0.0:
+                points = points - np.maximum(beyond, 0.0)[:, None] * normal
+        kept = part if points is part.vertices else convex_part(points)
+        if kept is not None:
+            parts.append(kept)
+    return replace(collision, parts=tuple(parts)) if parts else collision
 
 
 def convex_parts(

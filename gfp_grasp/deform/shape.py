@@ -17,6 +17,7 @@ from scipy.spatial import KDTree
 
 from gfp_grasp.deform.gfs import SnakeConfig, evolve
 from gfp_grasp.deform.patches import Patches, blend, make_patches
+from gfp_grasp.deform.standing import stood
 from gfp_grasp.deform.template import TemplatePoints, patch_unit_m, template_points
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.meshes import crossing_faces, graph_laplacian, neighbour_average, triangle_normals
@@ -151,9 +152,11 @@ def deform(fit: FittedPrimitive, view: LevelView, *, config: DeformConfig = Defo
     Returns:
         The deformed vertices in that frame.
     """
+    vertices, faces = fit.primitive.shape(fit.coefficients, fit.scale), fit.primitive.faces
     if config.method == "none":
-        return Deformed(fit.vertices_world(), np.full(len(fit.primitive.vertices), np.nan), 1.0)
-    vertices = fit.primitive.shape(fit.coefficients, fit.scale)
+        placed, unknown = fit.vertices_world(), np.full(len(vertices), np.nan)
+        moved, kept = damp_until_solid(placed, faces, stood(placed, faces, view) - placed)
+        return Deformed(moved, unknown, kept)
     # The paper knows of no symmetry.
     template = template_points(fit, view, symmetry=config.symmetry and config.method != "gfpnet-paper")
     if config.method == "gfs":
@@ -163,8 +166,11 @@ def deform(fit: FittedPrimitive, view: LevelView, *, config: DeformConfig = Defo
         patches = make_patches(fit.primitive, vertices, template, viewpoint)
         told = _by_points(fit, patches) if config.method == "gfpnet" else _by_sets(fit, patches, config)
         displacement, sigma_m = told
-    moved, kept = damp_until_solid(vertices, fit.primitive.faces, displacement)
-    return Deformed(apply_T(fit.T_world_object, moved), sigma_m, kept)
+    T = fit.T_world_object
+    placed = apply_T(T, vertices + displacement)
+    displacement = displacement + (stood(placed, faces, view) - placed) @ T[:3, :3]
+    moved, kept = damp_until_solid(vertices, faces, displacement)
+    return Deformed(apply_T(T, moved), sigma_m, kept)
 
 
 def _by_contour(fit: FittedPrimitive, vertices: np.ndarray, template: TemplatePoints, snake: SnakeConfig) -> np.ndarray:

@@ -1,6 +1,26 @@
-"""Completed objects as files: meshes, MJCF in one file, URDF with a mesh for each part."""
+"""Completed objects and scenes as files: meshes, MJCF in one file, URDF with a mesh for each part."""
 
-from gfp_grasp.export.formats import MassProperties, mass_properties
-from gfp_grasp.export.write import SUFFIXES, export_completion, legal_name, needs_parts
+from gfp_grasp.export.formats import Body, MassProperties, body_text, mass_properties
+from gfp_grasp.export.write import (
+    SUFFIXES,
+    export_bodies,
+    export_completion,
+    foot_pose,
+    legal_name,
+    make_body,
+    needs_parts,
+)
 
-__all__ = ["SUFFIXES", "MassProperties", "export_completion", "legal_name", "mass_properties", "needs_parts"]
+__all__ = [
+    "SUFFIXES",
+    "Body",
+    "MassProperties",
+    "body_text",
+    "export_bodies",
+    "export_completion",
+    "foot_pose",
+    "legal_name",
+    "make_body",
+    "mass_properties",
+    "needs_parts",
+]

@@ -8,17 +8,19 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
 import trimesh
+from scipy.spatial.transform import Rotation
 
 from gfp_grasp.errors import InvalidMesh, InvalidOption
 from gfp_grasp.meshes import triangle_normals
+from gfp_grasp.transforms import apply_T, quat_wxyz
 from gfp_grasp.types import ConvexPart
 
 _DENSITIES = (0.1, 30_000.0)  # kg/m3: from the lightest aerogel to beyond osmium
@@ -84,19 +86,21 @@ Part = ConvexPart | trimesh.Trimesh
 
 @dataclass(frozen=True, eq=False)
 class Body:
-    """What is written of one object.
+    """What is written of one object, in its own frame.
 
     Attributes:
         name: Name of the body, and the start of its geoms' names.
         mesh: What is looked at.
         parts: Convex parts, what collides.
         weight: Mass, centre and inertia.
+        T_world_body: (4, 4) where its frame is.
     """
 
     name: str
     mesh: trimesh.Trimesh
     parts: Sequence[Part]
     weight: MassProperties
+    T_world_body: np.ndarray = field(default_factory=lambda: np.eye(4))
 
     @property
     def shapes(self) -> tuple[Part, ...]:
@@ -104,20 +108,27 @@ class Body:
         return (self.mesh, *self.parts)
 
 
-def write_meshes(body: Body, path: Path) -> list[str]:
-    """Write the mesh and each part into the folder `<stem>_meshes` beside a path; return their names relative to it."""
+def write_meshes(bodies: Sequence[Body], path: Path) -> list[list[str]]:
+    """Write mesh and parts of each body into the folder `<stem>_meshes` beside a path.
+
+    Returns:
+        The names of each body's files relative to the path's folder; in those of several, the body's name comes first.
+    """
     folder = path.parent / f"{path.stem}_meshes"
     folder.mkdir(exist_ok=True)
     names = []
-    stems = ["visual", *(f"hull_{i:03d}" for i in range(len(body.parts)))]
-    for stem, shape in zip(stems, body.shapes, strict=True):
-        solid = trimesh.Trimesh(np.array(shape.vertices), np.array(shape.faces), process=False)
-        with replacing(folder / f"{stem}.obj") as new:
-            solid.export(new, file_type="obj", include_normals=False, header=None)
-        names.append(f"{folder.name}/{stem}.obj")
-    for hull in folder.glob("hull_*.obj"):  # an earlier export may have had more of them
-        if re.fullmatch(r"hull_\d{3,}\.obj", hull.name) and f"{folder.name}/{hull.name}" not in names:
-            hull.unlink()
+    for body in bodies:
+        prefix = f"{body.name}_" if len(bodies) > 1 else ""
+        stems = [f"{prefix}visual", *(f"{prefix}hull_{i:03d}" for i in range(len(body.parts)))]
+        names.append([f"{folder.name}/{stem}.obj" for stem in stems])
+        for stem, shape in zip(stems, body.shapes, strict=True):
+            solid = trimesh.Trimesh(np.array(shape.vertices), np.array(shape.faces), process=False)
+            with replacing(folder / f"{stem}.obj") as new:
+                solid.export(new, file_type="obj", include_normals=False, header=None)
+    written = {name for body in names for name in body}
+    for file in folder.glob("*.obj"):  # an earlier export may have had more of them
+        if re.fullmatch(r"(.+_)?(visual|hull_\d{3,})\.obj", file.name) and f"{folder.name}/{file.name}" not in written:
+            file.unlink()
     return names
 
 
@@ -145,23 +156,62 @@ def to_text(numbers: object) -> str:
 
 
 _GRAVITY = 9.81  # MuJoCo's own
+# Stiffer than MuJoCo's 20 ms, down to which a default marble sinks through the bottom of a cup, and as stiff as its
+# default step of 2 ms allows; the higher priority makes it hold against whatever the other geom has.
+_CONTACT = {"solref": "0.004 1", "priority": "1"}
 
 
-def write_mjcf(body: Body, path: Path, *, up: np.ndarray, in_files: bool) -> None:
-    """Write a body that stands on a floor.
+def write_mjcf(
+    bodies: Sequence[Body],
+    path: Path,
+    *,
+    up: np.ndarray,
+    in_files: bool,
+    contact: bool,
+    floor_m: float | None = None,
+) -> None:
+    """Write bodies that stand on one floor.
 
     Args:
-        body: What is written.
-        path: The .xml file.
+        bodies: What is written, at least one.
+        path: The .xml file; its stem names the model of several bodies.
         up: (3,) unit normal of the floor, against gravity.
         in_files: Meshes go into files beside the path; else they are embedded.
+        contact: Parts carry contact parameters of their own.
+        floor_m: Height of the floor along up; None lets it touch the lowest of meshes and parts, so that what was
+            fitted to noise does not start inside of it.
     """
-    root = ElementTree.Element("mujoco", model=body.name)
+    root = ElementTree.Element("mujoco", model=bodies[0].name if len(bodies) == 1 else path.stem)
     ElementTree.SubElement(root, "option", gravity=to_text(-_GRAVITY * up))
     asset = ElementTree.SubElement(root, "asset")
     world = ElementTree.SubElement(root, "worldbody")
-    _add_light_and_floor(world, body, up)
-    element = ElementTree.SubElement(world, "body", name=body.name)
+    _add_light_and_floor(world, bodies, up, floor_m)
+    files = write_meshes(bodies, path) if in_files else [None] * len(bodies)
+    for body, names in zip(bodies, files, strict=True):
+        sources = [_embedded(shape) for shape in body.shapes] if names is None else [{"file": file} for file in names]
+        add_body(asset, world, body, sources, contact=contact)
+    write_xml(root, path)
+
+
+def body_text(body: Body, *, contact: bool) -> str:
+    """MJCF of one body alone, its meshes embedded, without floor, light and options."""
+    root = ElementTree.Element("mujoco", model=body.name)
+    asset, world = ElementTree.SubElement(root, "asset"), ElementTree.SubElement(root, "worldbody")
+    add_body(asset, world, body, [_embedded(shape) for shape in body.shapes], contact=contact)
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def add_body(
+    asset: ElementTree.Element,
+    world: ElementTree.Element,
+    body: Body,
+    sources: Sequence[Mapping[str, str]],
+    *,
+    contact: bool,
+) -> None:
+    """Add a body with its free joint, inertia, mesh and parts; sources say where the shapes have their vertices."""
+    place = {"pos": to_text(body.T_world_body[:3, 3]), "quat": to_text(quat_wxyz(body.T_world_body[:3, :3]))}
+    element = ElementTree.SubElement(world, "body", {"name": body.name, **place})
     ElementTree.SubElement(element, "freejoint", name=f"{body.name}_free")
     inertia = body.weight.inertia
     ElementTree.SubElement(
@@ -171,59 +221,66 @@ def write_mjcf(body: Body, path: Path, *, up: np.ndarray, in_files: bool) -> Non
         mass=to_text([body.weight.mass_kg]),
         fullinertia=to_text([inertia[i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]),
     )
-    if in_files:
-        sources = [{"file": file} for file in write_meshes(body, path)]
-    else:
-        sources = [_embedded(shape) for shape in body.shapes]
-    _add_geoms(asset, element, body.name, sources)
-    write_xml(root, path)
+    visual = f"{body.name}_visual"
+    # inertia="shell": MuJoCo would refuse to look at a mesh that is not closed.
+    ElementTree.SubElement(asset, "mesh", {"name": visual, **sources[0], "inertia": "shell"})
+    looks = {"contype": "0", "conaffinity": "0", "group": "2", "rgba": "0.55 0.65 0.8 1"}
+    ElementTree.SubElement(element, "geom", {"name": visual, "type": "mesh", "mesh": visual, "mass": "0", **looks})
+    for index, source in enumerate(sources[1:]):
+        hull = f"{body.name}_hull_{index:03d}"
+        ElementTree.SubElement(asset, "mesh", {"name": hull, **source})
+        geom = {"name": hull, "type": "mesh", "mesh": hull, "group": "3", "mass": "0", **(_CONTACT if contact else {})}
+        ElementTree.SubElement(element, "geom", geom)
 
 
-def _add_light_and_floor(world: ElementTree.Element, body: Body, up: np.ndarray) -> None:
-    middle = body.mesh.bounds.mean(axis=0)
-    size = float(np.ptp(body.mesh.bounds, axis=0).max())
+def _add_light_and_floor(
+    world: ElementTree.Element, bodies: Sequence[Body], up: np.ndarray, floor_m: float | None
+) -> None:
+    shapes = [apply_T(body.T_world_body, shape.vertices) for body in bodies for shape in body.shapes]
+    corners = np.array([[points.min(axis=0), points.max(axis=0)] for points in shapes]).reshape(-1, 3)
+    middle, size = (corners.min(axis=0) + corners.max(axis=0)) / 2, float(np.ptp(corners, axis=0).max())
     above = middle + (5 * size + 1) * up
     ElementTree.SubElement(world, "light", pos=to_text(above), dir=to_text(-up), type="directional")
-    # The floor touches the lowest of mesh and parts: what was fitted to noise must not start inside of it.
-    lowest = min(float((shape.vertices @ up).min()) for shape in body.shapes)
+    height_m = min(float((points @ up).min()) for points in shapes) if floor_m is None else floor_m
     ElementTree.SubElement(
         world,
         "geom",
         name="floor",
         type="plane",
         size="0 0 0.05",
-        pos=to_text(lowest * up),
+        pos=to_text(height_m * up),
         zaxis=to_text(up),
         rgba="0.8 0.8 0.82 1",
     )
-
-
-def _add_geoms(
-    asset: ElementTree.Element, element: ElementTree.Element, name: str, sources: list[dict[str, str]]
-) -> None:
-    """The mesh, which is seen and collides with nothing, and the parts, which collide and are not seen."""
-    visual = f"{name}_visual"
-    # inertia="shell": MuJoCo would refuse to look at a mesh that is not closed.
-    ElementTree.SubElement(asset, "mesh", {"name": visual, **sources[0], "inertia": "shell"})
-    looks = {"contype": "0", "conaffinity": "0", "group": "2", "rgba": "0.55 0.65 0.8 1"}
-    ElementTree.SubElement(element, "geom", {"name": visual, "type": "mesh", "mesh": visual, "mass": "0", **looks})
-    for index, source in enumerate(sources[1:]):
-        hull = f"{name}_hull_{index:03d}"
-        ElementTree.SubElement(asset, "mesh", {"name": hull, **source})
-        ElementTree.SubElement(element, "geom", name=hull, type="mesh", mesh=hull, group="3", mass="0")
 
 
 def _embedded(shape: Part) -> dict[str, str]:
     return {"vertex": to_text(shape.vertices), "face": to_text(shape.faces)}
 
 
-def write_urdf(body: Body, path: Path) -> None:
-    """Write a robot of one link. URDF knows neither gravity nor embedded meshes."""
-    names = write_meshes(body, path)
-    root = ElementTree.Element("robot", name=body.name)
+def write_urdf(bodies: Sequence[Body], path: Path) -> None:
+    """Write a robot of one link, or of one link an object, each on a floating joint of the world's.
+
+    URDF knows neither gravity nor embedded meshes.
+    """
+    root = ElementTree.Element("robot", name=bodies[0].name if len(bodies) == 1 else path.stem)
     # MuJoCo's reader else looks for the files without their folder and drops the visual; other readers ignore this.
     extension = ElementTree.SubElement(root, "mujoco")
     ElementTree.SubElement(extension, "compiler", strippath="false", discardvisual="false")
+    if len(bodies) > 1:
+        ElementTree.SubElement(root, "link", name="world")
+    for body, files in zip(bodies, write_meshes(bodies, path), strict=True):
+        _add_link(root, body, files)
+        if len(bodies) > 1:
+            joint = ElementTree.SubElement(root, "joint", name=f"{body.name}_free", type="floating")
+            ElementTree.SubElement(joint, "parent", link="world")
+            ElementTree.SubElement(joint, "child", link=body.name)
+            rpy = Rotation.from_matrix(body.T_world_body[:3, :3]).as_euler("xyz")
+            ElementTree.SubElement(joint, "origin", xyz=to_text(body.T_world_body[:3, 3]), rpy=to_text(rpy))
+    write_xml(root, path)
+
+
+def _add_link(root: ElementTree.Element, body: Body, files: Sequence[str]) -> None:
     link = ElementTree.SubElement(root, "link", name=body.name)
     inertial = ElementTree.SubElement(link, "inertial")
     ElementTree.SubElement(inertial, "origin", xyz=to_text(body.weight.centre), rpy="0 0 0")
@@ -231,10 +288,8 @@ def write_urdf(body: Body, path: Path) -> None:
     inertia = body.weight.inertia
     entries = {f"i{'xyz'[i]}{'xyz'[j]}": to_text([inertia[i, j]]) for i in range(3) for j in range(i, 3)}
     ElementTree.SubElement(inertial, "inertia", entries)
-    for file in names:
-        stem = Path(file).stem
-        element = ElementTree.SubElement(link, "visual" if stem == "visual" else "collision", name=stem)
+    for index, file in enumerate(files):
+        element = ElementTree.SubElement(link, "collision" if index else "visual", name=Path(file).stem)
         ElementTree.SubElement(element, "origin", xyz="0 0 0", rpy="0 0 0")
         geometry = ElementTree.SubElement(element, "geometry")
         ElementTree.SubElement(geometry, "mesh", filename=file)
-    write_xml(root, path)

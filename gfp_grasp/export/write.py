@@ -14,6 +14,7 @@ from numpy.typing import ArrayLike
 from gfp_grasp.collision import MIN_THICKNESS_M, convex_part
 from gfp_grasp.errors import InvalidMesh, InvalidOption
 from gfp_grasp.export.formats import Body, Part, mass_properties, replacing, write_mjcf, write_urdf
+from gfp_grasp.transforms import apply_T, invert_T, make_T, rotation_between
 
 _IN_PARTS = (".xml", ".urdf")
 SUFFIXES = (".obj", ".ply", ".stl", ".glb", *_IN_PARTS)
@@ -31,14 +32,16 @@ def export_completion(
     colors: np.ndarray | None = None,
     up: ArrayLike = (0.0, 0.0, 1.0),
     assets: Literal["embedded", "files"] = "embedded",
+    contact: bool = True,
 ) -> Path:
     """Write an object in the form that the suffix names.
 
     `.obj`, `.ply`, `.stl` and `.glb` hold the mesh. `.xml` is MJCF in one file: the mesh to look at, every convex part
     as a mesh of its own to collide with, explicit inertia, a free joint, floor and light, for MuJoCo's viewer to open.
-    `.urdf` names mesh files in the folder `<stem>_meshes` beside it, visual.obj and hull_000.obj onward, by relative
-    paths: the two can be moved together. The same object gives the same names and bytes. Each file is replaced as a
-    whole: a program that has the old one open goes on reading the old one.
+    Its body stands in the middle of the object's foot with z along up, so that its position is the object's. `.urdf`
+    names mesh files in the folder `<stem>_meshes` beside it, visual.obj and hull_000.obj onward, by relative paths: the
+    two can be moved together; its link has the frame of the mesh. The same object gives the same names and bytes. Each
+    file is replaced as a whole: a program that has the old one open goes on reading the old one.
 
     Args:
         mesh: Metres; watertight unless shell_thickness_m is given or only the mesh is written.
@@ -51,6 +54,8 @@ def export_completion(
         colors: (v, 3) or (v, 4) uint8 of the vertices, kept by .ply, .glb and .obj.
         up: (3,) normal of the floor, against gravity, in the mesh's frame; for .xml.
         assets: Whether .xml embeds its meshes or has them in files beside it, as .urdf always does.
+        contact: Parts in .xml carry contact parameters with which things stand still and marbles stay in cups at
+            MuJoCo's default options; False leaves all parameters to the scene.
 
     Returns:
         The path that was written.
@@ -61,23 +66,113 @@ def export_completion(
     """
     path = Path(path)
     in_parts, up = needs_parts(path), _unit(up)
-    if not name or name != legal_name(name):
-        raise InvalidOption(f"name is {name!r}; letters, digits and _ . - are legal, world is not: use legal_name")
-    if assets not in ("embedded", "files"):
-        raise InvalidOption(f"assets is {assets!r}; 'embedded' or 'files' is expected")
+    _check_name(name)
+    _check_assets(assets)
     mesh = _colored(mesh, colors)
     path.parent.mkdir(parents=True, exist_ok=True)
     if not in_parts:
         with replacing(path) as new:
             mesh.export(new, file_type=path.suffix.lower()[1:])
         return path
-    _check_parts(parts, path.suffix)
-    body = Body(name, mesh, parts, mass_properties(mesh, density=density, shell_thickness_m=shell_thickness_m))
-    if path.suffix.lower() == ".urdf":
-        write_urdf(body, path)
+    in_urdf = path.suffix.lower() == ".urdf"
+    body = make_body(
+        mesh,
+        parts,
+        name=name,
+        density=density,
+        shell_thickness_m=shell_thickness_m,
+        T_world_body=None if in_urdf else foot_pose(mesh, parts, up),
+    )
+    if in_urdf:
+        write_urdf([body], path)
     else:
-        write_mjcf(body, path, up=up, in_files=assets == "files")
+        write_mjcf([body], path, up=up, in_files=assets == "files", contact=contact)
     return path
+
+
+def export_bodies(
+    bodies: Sequence[Body],
+    path: str | Path,
+    *,
+    up: ArrayLike = (0.0, 0.0, 1.0),
+    floor_m: float | None = None,
+    assets: Literal["embedded", "files"] = "embedded",
+    contact: bool = True,
+) -> Path:
+    """Write several objects into one file: a scene.
+
+    `.xml` is MJCF with one floor and a free body for each object. `.urdf` has a link for each, on a floating joint of a
+    link "world". `.glb` has a node for each; `.obj`, `.ply` and `.stl` hold all meshes as one.
+
+    Args:
+        bodies: At least one; no two of the same name.
+        path: The file; folders are made, files replaced.
+        up: (3,) normal of the floor, for .xml.
+        floor_m: Height of the floor along up, for .xml; None takes that of the lowest point.
+        assets: As in `export_completion`.
+        contact: As in `export_completion`.
+
+    Raises:
+        InvalidOption: Unknown suffix, two bodies of one name, no body, illegal up or assets.
+    """
+    path = Path(path)
+    in_parts, up = needs_parts(path), _unit(up)
+    _check_assets(assets)
+    names = [body.name for body in bodies]
+    if not names or len(set(names)) < len(names):
+        raise InvalidOption(f"the bodies are {names}; at least one is expected, and each with a name of its own")
+    path.parent.mkdir(parents=True, exist_ok=True)
+    if path.suffix.lower() == ".urdf":
+        write_urdf(bodies, path)
+    elif in_parts:
+        write_mjcf(bodies, path, up=up, floor_m=floor_m, in_files=assets == "files", contact=contact)
+    else:
+        shown = trimesh.Scene()
+        for body in bodies:
+            shown.add_geometry(body.mesh, node_name=body.name, geom_name=body.name, transform=body.T_world_body)
+        together = shown if path.suffix.lower() == ".glb" else shown.to_mesh()
+        with replacing(path) as new:
+            together.export(new, file_type=path.suffix.lower()[1:])
+    return path
+
+
+def make_body(
+    mesh: trimesh.Trimesh,
+    parts: Sequence[Part],
+    *,
+    name: str,
+    density: float = 1000.0,
+    shell_thickness_m: float | None = None,
+    T_world_body: np.ndarray | None = None,
+) -> Body:
+    """What is written of an object, in a frame of its own.
+
+    Args:
+        mesh: World frame, m; watertight unless shell_thickness_m is given.
+        parts: Its convex parts, world frame; at least one.
+        name: Name of the body, as in `export_completion`.
+        density: As there.
+        shell_thickness_m: As there.
+        T_world_body: (4, 4) the frame; None takes the world's.
+
+    Raises:
+        InvalidOption: Illegal name, density or thickness.
+        InvalidMesh: No parts, one that MuJoCo would not take, or mass from a volume that is none.
+    """
+    _check_name(name)
+    _check_parts(parts)
+    T = np.eye(4) if T_world_body is None else T_world_body
+    own = _moved(mesh, invert_T(T))
+    weight = mass_properties(own, density=density, shell_thickness_m=shell_thickness_m)
+    return Body(name, own, [_moved(part, invert_T(T)) for part in parts], weight, T)
+
+
+def foot_pose(mesh: trimesh.Trimesh, parts: Sequence[Part], up: np.ndarray) -> np.ndarray:
+    """(4, 4) pose of the frame of an object that stands: in the middle of its outline, at its lowest point, z up."""
+    R = rotation_between((0.0, 0.0, 1.0), up)
+    level = np.vstack([shape.vertices for shape in (mesh, *parts)]) @ R
+    low, high = level.min(axis=0), level.max(axis=0)
+    return make_T(R, R @ np.append((low[:2] + high[:2]) / 2, low[2]))
 
 
 def legal_name(text: str) -> str:
@@ -98,6 +193,23 @@ def needs_parts(path: str | Path) -> bool:
     return suffix in _IN_PARTS
 
 
+def _check_name(name: str) -> None:
+    if not name or name != legal_name(name):
+        raise InvalidOption(f"name is {name!r}; letters, digits and _ . - are legal, world is not: use legal_name")
+
+
+def _check_assets(assets: str) -> None:
+    if assets not in ("embedded", "files"):
+        raise InvalidOption(f"assets is {assets!r}; 'embedded' or 'files' is expected")
+
+
+def _moved(shape: Part, T: np.ndarray) -> trimesh.Trimesh:
+    moved = trimesh.Trimesh(apply_T(T, shape.vertices), np.array(shape.faces), process=False)
+    if isinstance(shape, trimesh.Trimesh) and shape.visual.kind == "vertex":
+        moved.visual = shape.visual.copy()
+    return moved
+
+
 def _unit(up: ArrayLike) -> np.ndarray:
     direction = np.asarray(up, dtype=np.float64)
     if direction.shape != (3,) or not np.isfinite(direction).all() or not direction.any():
@@ -116,9 +228,9 @@ def _colored(mesh: trimesh.Trimesh, colors: np.ndarray | None) -> trimesh.Trimes
     return trimesh.Trimesh(np.array(mesh.vertices), np.array(mesh.faces), vertex_colors=colors, process=False)
 
 
-def _check_parts(parts: Sequence[Part], suffix: str) -> None:
+def _check_parts(parts: Sequence[Part]) -> None:
     if not parts:
-        raise InvalidMesh(f"no convex parts came; {suffix} needs them: pass those of decompose or of the completion")
+        raise InvalidMesh("no convex parts came, which .xml and .urdf need: pass those of decompose or the completion")
     for number, part in enumerate(parts):
         points = np.asarray(part.vertices)
         if not np.isfinite(points).all() or convex_part(points) is None:

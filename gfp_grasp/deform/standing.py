@@ -1,0 +1,114 @@
+"""Completed surfaces that stand: their feet lie in the support plane, and they do not topple off them.
+
+Whatever is a millimetre off a plane rocks in a simulator.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import ConvexHull, QhullError
+
+from gfp_grasp.meshes import triangle_normals, vertex_normals
+from gfp_grasp.transforms import rotation_between
+from gfp_grasp.types import LevelView
+
+# Multiples of the sensor's noise: what is this near to the support stands on it,
+_FOOT = 1 / 3
+_SUPPORT_REACHED = 20 / 3  # and an object whose lowest point is this far above the support that was seen is not on it.
+_LEAST_MARGIN = 1.0  # of the centre of mass within the outline of the feet
+_FACES_DOWN = -0.3  # z of the normal of a vertex that can be stood on
+_LEAST_BOTTOM = 0.25  # what faces up stays so far above the support, a share of the foot
+_MOST_TURN_DEG = 5.0  # that an object which would topple is turned by, to where it rests
+# A foot that is too small grows to what lies so many times as high: a little before the object is turned, and after it.
+_GROWN, _GROWN_MORE = (2, 4, 8), (16, 32, 64, 128)
+
+
+def stood(vertices: np.ndarray, faces: np.ndarray, view: LevelView) -> np.ndarray:
+    """Vertices (v, 3) m of a closed surface, in the level frame, moved so that it stands; see `stand_on`.
+
+    The plane it stands on is the support that was seen, where the object reaches it, and else goes through the object's
+    lowest point.
+    """
+    sigma_m, lowest = view.sensor.sigma_m, float(vertices[:, 2].min())
+    floor_m = 0.0 if view.floor_seen and lowest < _SUPPORT_REACHED * sigma_m else lowest
+    return stand_on(vertices, faces, floor_m, sigma_m=sigma_m)
+
+
+def stand_on(
+    vertices: np.ndarray, faces: np.ndarray, floor_m: float, *, sigma_m: float, turn: bool = True
+) -> np.ndarray:
+    """Vertices (v, 3) m of a closed surface, z up, moved so that it stands on a floor.
+
+    What faces down within a little of the floor comes to lie in it; nothing stays below it. Where the centre of mass
+    is not above what is stood on, the real object has more of a foot than this one, or lies otherwise: the foot grows,
+    and the object is turned onto the side that it would roll to, if that is near.
+
+    Args:
+        vertices: (v, 3) m.
+        faces: (f, 3), outward.
+        floor_m: z of the floor.
+        sigma_m: The sensor's noise, the unit of what is little.
+        turn: Whether the object may be turned.
+    """
+    first = answer = _on_plane(vertices, faces, floor_m, _FOOT * sigma_m)
+    for grown in (1, *_GROWN):
+        answer = first if grown == 1 else _on_plane(vertices, faces, floor_m, grown * _FOOT * sigma_m)
+        if _stands(answer, faces, floor_m, sigma_m):
+            return answer
+    rotation = _turn_to_rest(vertices, _centre_of_mass(first, faces)) if turn else None
+    if rotation is not None:
+        centre = _centre_of_mass(first, faces)
+        turned = (vertices - centre) @ rotation.T + centre
+        turned[:, 2] += floor_m - turned[:, 2].min()
+        return _on_plane(turned, faces, floor_m, _FOOT * sigma_m)
+    for grown in _GROWN_MORE:
+        answer = _on_plane(vertices, faces, floor_m, grown * _FOOT * sigma_m)
+        if _stands(answer, faces, floor_m, sigma_m):
+            return answer
+    return first
+
+
+def _on_plane(vertices: np.ndarray, faces: np.ndarray, floor_m: float, foot_m: float) -> np.ndarray:
+    z = vertices[:, 2]
+    down = vertex_normals(vertices, faces)[:, 2]
+    stands = (z < max(float(z.min()), floor_m) + foot_m) & (down < _FACES_DOWN)
+    least_m = np.where(down > -_FACES_DOWN, floor_m + _LEAST_BOTTOM * foot_m, floor_m)
+    return np.column_stack([vertices[:, :2], np.where(stands, floor_m, np.maximum(z, least_m))])
+
+
+def _stands(vertices: np.ndarray, faces: np.ndarray, floor_m: float, sigma_m: float) -> bool:
+    """Whether the centre of mass is above the outline of what lies on the floor."""
+    feet = vertices[vertices[:, 2] < floor_m + 1e-6, :2]
+    return _margin_m(feet, _centre_of_mass(vertices, faces)[:2]) >= _LEAST_MARGIN * sigma_m
+
+
+def _centre_of_mass(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """(3,) of the solid within a closed surface."""
+    middle = vertices.mean(axis=0)
+    triangles = vertices[faces] - middle
+    volumes = np.einsum("fi,fi->f", triangles[:, 0], triangle_normals(triangles))
+    return middle + volumes @ triangles.sum(axis=1) / (4 * volumes.sum())
+
+
+def _margin_m(ground: np.ndarray, place: np.ndarray) -> float:
+    """How far a place (2,) lies within the outline of points (n, 2); negative outside, -inf where there is none."""
+    try:
+        hull = ConvexHull(ground)
+    except (QhullError, ValueError):  # a line, a point, or nothing
+        return -np.inf
+    return float(-(hull.equations[:, :2] @ place + hull.equations[:, 2]).max())
+
+
+def _turn_to_rest(vertices: np.ndarray, centre: np.ndarray) -> np.ndarray | None:
+    """Rotation (3, 3) onto the nearest face of the hull that the centre of mass is above; None where none is near."""
+    hull = ConvexHull(vertices)
+    best, least = None, np.cos(np.radians(_MOST_TURN_DEG))
+    for normal, corners in zip(hull.equations[:, :3], hull.simplices, strict=True):
+        if -normal[2] <= least:
+            continue
+        R = rotation_between(normal, (0.0, 0.0, -1.0))
+        flat = (vertices[corners] - centre) @ R.T
+        near = (vertices - centre) @ R[2] < flat[:, 2].max() + 1e-6
+        if _margin_m(((vertices[near] - centre) @ R.T)[:, :2], np.zeros(2)) >= 0.0:
+            best, least = R, float(-normal[2])
+    return best

@@ -1,0 +1,181 @@
+"""Completed objects of one scene that do not cut into each other: what was guessed gives way before what was seen."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+import trimesh
+from scipy.spatial import ConvexHull, KDTree
+from sklearn.svm import LinearSVC
+
+from gfp_grasp.deform import stand_on
+from gfp_grasp.meshes import vertex_normals
+from gfp_grasp.transforms import rotation_between
+from gfp_grasp.types import CompletedShape
+
+_ALLOWED_M = 0.0005  # that two surfaces may overlap by
+_CLEARANCE_M = 0.0001  # that is left between them
+_NEAR_M = 0.02  # convex parts reach so far beyond the surface that they stand for
+_SEEN_WEIGHT = 1000.0  # of a seen vertex against a guessed one
+_MOST_SEEN_M = 0.01  # that a seen surface is moved by; one thing in another is left as it is
+_SAME_NORMAL = 5  # digits to which the faces of a hull are one side of it
+_LEVEL = 0.9  # cosine between up and the normal of a plane that things stand on
+
+
+@dataclass(frozen=True)
+class GaveWay:
+    """One object was cut back where it reached into another, or could not be.
+
+    Attributes:
+        index: The object, by its place in the scene.
+        other: What it reached into.
+        depth_m: How far its surface was moved at most; where it was not, how far it reaches into the other.
+        seen_m: How far a vertex of it that had been seen was moved at most.
+        moved: Whether it was cut back; one thing within another cannot be.
+    """
+
+    index: int
+    other: int
+    depth_m: float
+    seen_m: float
+    moved: bool
+
+
+@dataclass(frozen=True, eq=False)
+class Apart:
+    """Shapes that no longer overlap.
+
+    Attributes:
+        shapes: The shapes, in the order in which they came.
+        bounds: (k, 4) half-spaces for each shape, unit normal and offset: it lies where normal @ x <= offset.
+        gave_way: What was changed, or could not be.
+    """
+
+    shapes: list[CompletedShape]
+    bounds: list[np.ndarray]
+    gave_way: list[GaveWay]
+
+
+def make_way(shapes: Sequence[CompletedShape], *, up: np.ndarray, floor_m: float | None, sigma_m: float) -> Apart:
+    """Shapes of one frame that do not overlap.
+
+    Two that overlap are parted by a plane, one side of either hull or one between the two, that moves least of what was
+    seen, and after it least of the rest; whatever lies beyond it is put into it. What is cut off from above stands on
+    the plane then, as on a floor. Meshes keep their connectivity.
+
+    Args:
+        shapes: Completed shapes.
+        up: (3,) unit.
+        floor_m: Height of the support along up, or None.
+        sigma_m: The sensor's noise.
+    """
+    vertices = [np.array(shape.mesh.vertices) for shape in shapes]
+    bounds: list[list[np.ndarray]] = [[] if floor_m is None else [np.append(-up, -floor_m)] for _ in shapes]
+    floors: dict[int, float] = {}
+    given: list[GaveWay] = []
+    for a, b in combinations(range(len(shapes)), 2):
+        if not _near(vertices[a], vertices[b]):
+            continue
+        depth_m = _overlap_m(vertices[a], shapes[a].mesh.faces, vertices[b], shapes[b].mesh.faces)
+        normal, offset = _parting_plane(vertices[a], shapes[a].observed, vertices[b], shapes[b].observed, up)
+        sides = ((a, b, normal, offset - _CLEARANCE_M / 2), (b, a, -normal, -offset - _CLEARANCE_M / 2))
+        steps = [np.maximum(vertices[k] @ n - d, 0.0) for k, _, n, d in sides]
+        if depth_m <= _ALLOWED_M and max(step.max() for step in steps) > _CLEARANCE_M:
+            continue  # one reaches round the other
+        seen_m = [float(step[shapes[k].observed].max(initial=0.0)) for step, (k, *_) in zip(steps, sides, strict=True)]
+        if max(seen_m) > _MOST_SEEN_M:
+            given.append(GaveWay(a, b, depth_m, 0.0, moved=False))
+            continue
+        for step, seen, (k, other, n, d) in zip(steps, seen_m, sides, strict=True):
+            vertices[k] -= step[:, None] * n
+            bounds[k].append(np.append(n, d))
+            if step.max() > _ALLOWED_M:
+                given.append(GaveWay(k, other, float(step.max()), seen, moved=True))
+                if n @ up < -_LEVEL:
+                    floors[k] = max(floors.get(k, -np.inf), float((vertices[k][step > 0] @ up).max()))
+    changed = {way.index for way in given if way.moved}
+    for k in changed:
+        level = rotation_between((0.0, 0.0, 1.0), up)
+        height_m = floors.get(k, floor_m)
+        if height_m is not None:
+            faces = shapes[k].mesh.faces
+            vertices[k] = stand_on(vertices[k] @ level, faces, height_m, sigma_m=sigma_m, turn=False) @ level.T
+    return Apart(
+        [_with_vertices(s, vertices[k]) if k in changed else s for k, s in enumerate(shapes)],
+        [np.array(own).reshape(-1, 4) for own in bounds],
+        given,
+    )
+
+
+def _near(a: np.ndarray, b: np.ndarray) -> bool:
+    low, high = np.maximum(a.min(axis=0), b.min(axis=0)), np.minimum(a.max(axis=0), b.max(axis=0))
+    return bool((high - low).min() > -_NEAR_M)
+
+
+def _overlap_m(a: np.ndarray, faces_a: np.ndarray, b: np.ndarray, faces_b: np.ndarray) -> float:
+    """How deep a vertex of either closed surface lies within the other, m; 0 where none does."""
+    low, high = np.maximum(a.min(axis=0), b.min(axis=0)), np.minimum(a.max(axis=0), b.max(axis=0))
+    if (high - low).min() <= 0:
+        return 0.0
+    return max(_depth_m(a, b, faces_b, low, high), _depth_m(b, a, faces_a, low, high))
+
+
+def _depth_m(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray, low: np.ndarray, high: np.ndarray) -> float:
+    """Depth of the deepest point within a surface, by the vertex nearest to each point between two corners."""
+    points = points[((points >= low) & (points <= high)).all(axis=1)]
+    if len(points) == 0:
+        return 0.0
+    nearest = KDTree(vertices).query(points)[1]
+    heights = np.einsum("ni,ni->n", points - vertices[nearest], vertex_normals(vertices, faces)[nearest])
+    return float(np.maximum(-heights, 0.0).max())
+
+
+def _parting_plane(
+    a: np.ndarray, seen_a: np.ndarray, b: np.ndarray, seen_b: np.ndarray, up: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """Unit normal (3,) and offset of a plane, a below it and b above, that cuts off little of what was seen."""
+    weights = [np.where(seen, _SEEN_WEIGHT, 1.0) / len(seen) for seen in (seen_a, seen_b)]
+    best, least = _least_cut(a, b, weights, np.vstack([up, -up, _sides(a), -_sides(b)]))
+    if least > 0.0:
+        other, cut = _least_cut(a, b, weights, _between(a, b, weights))
+        best = other if cut < least else best
+    return best
+
+
+def _least_cut(
+    a: np.ndarray, b: np.ndarray, weights: list[np.ndarray], normals: np.ndarray
+) -> tuple[tuple[np.ndarray, float], float]:
+    """Of planes with some normals (n, 3), the one that cuts off least, and the weighted sum of squares cut off."""
+    along_a, along_b = a @ normals.T, b @ normals.T
+    best, least = (normals[0], 0.0), np.inf
+    # Either hull is left whole, or both give way half.
+    tops, bottoms = along_a.max(axis=0), along_b.min(axis=0)
+    for offsets in (tops, bottoms, (tops + bottoms) / 2):
+        cut = weights[0] @ np.maximum(along_a - offsets, 0.0) ** 2
+        cut += weights[1] @ np.maximum(offsets - along_b, 0.0) ** 2
+        k = int(cut.argmin())
+        if cut[k] < least:
+            best, least = (normals[k], float(offsets[k])), float(cut[k])
+    return best, least
+
+
+def _sides(points: np.ndarray) -> np.ndarray:
+    """Outward unit normals (n, 3) of the hull of points."""
+    return np.unique(ConvexHull(points).equations[:, :3].round(_SAME_NORMAL), axis=0)
+
+
+def _between(a: np.ndarray, b: np.ndarray, weights: list[np.ndarray]) -> np.ndarray:
+    """Unit normal (1, 3) of the plane that a linear classifier lays between two sets of points."""
+    points = np.vstack([a, b])
+    size = float(points.std())
+    labels = np.repeat([0, 1], [len(a), len(b)])
+    machine = LinearSVC(dual=False, C=1e3, random_state=0)
+    normal = machine.fit((points - points.mean(axis=0)) / size, labels, sample_weight=np.concatenate(weights)).coef_
+    return normal / np.linalg.norm(normal)
+
+
+def _with_vertices(shape: CompletedShape, vertices: np.ndarray) -> CompletedShape:
+    return replace(shape, mesh=trimesh.Trimesh(vertices, shape.mesh.faces.copy(), process=False))
