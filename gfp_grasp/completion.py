@@ -164,14 +164,15 @@ class Completion:
         Raises:
             InvalidOption: An illegal name, or one that is taken.
         """
-        from gfp_grasp.export import body_text, legal_name
+        from gfp_grasp.export import legal_name
+        from gfp_grasp.scenes import add_body
 
         taken = {body.name for body in spec.bodies}
         if name is None:
             name = free_name(legal_name(self.category or "object"), {t[len(prefix) :] for t in taken})
         elif prefix + name in taken:
             raise InvalidOption(f"the scene has a body {prefix + name!r} already: give another name or prefix")
-        _attach(spec, body_text(self.body(name), contact=contact), prefix)
+        add_body(spec, self.body(name), prefix=prefix, contact=contact)
         return prefix + name
 
     def body(self, name: str) -> Body:
@@ -267,9 +268,3 @@ def free_name(name: str, taken: Container[str]) -> str:
     if name not in taken:
         return name
     return next(numbered for numbered in (f"{name}_{i}" for i in count(2)) if numbered not in taken)
-
-
-def _attach(spec: mujoco.MjSpec, text: str, prefix: str) -> None:
-    import mujoco  # a scene of MuJoCo's came, so it is loaded
-
-    spec.attach(mujoco.MjSpec.from_string(text), prefix=prefix or None, frame=spec.worldbody.add_frame())

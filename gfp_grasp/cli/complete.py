@@ -1,6 +1,7 @@
 """`gfp-grasp complete`, `decompose`, `demo` and `view`: recordings and meshes in, files and pages out."""
 
 import webbrowser
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -25,6 +26,7 @@ from gfp_grasp.errors import InvalidOption
 
 if TYPE_CHECKING:
     from gfp_grasp.complete import CompleteConfig
+    from gfp_grasp.completion import Completion
 
 
 def complete(
@@ -42,7 +44,9 @@ def complete(
         typer.Option(help="What finds objects in the whole picture: tabletop, or your own module:function."),
     ] = None,
     sensor: Annotated[str, typer.Option(help="What saw the cloud: tabletop (a depth camera) or lidar.")] = "tabletop",
+    each: Annotated[bool, typer.Option("--each", help="Write several objects into files of their own.")] = False,
     files: Files = False,
+    bare: Annotated[bool, typer.Option("--bare", help="MJCF without contact parameters of the parts.")] = False,
     max_parts: Annotated[int, typer.Option(help="Most convex parts.")] = 80,
     max_vertices: Annotated[int | None, typer.Option(help="Most vertices of each part.")] = None,
     tolerance_mm: Annotated[
@@ -50,10 +54,12 @@ def complete(
     ] = None,
     seed: Seed = 0,
 ) -> None:
-    """Complete the object of a cloud, or every object of a depth picture. Several objects get numbered files."""
+    """Complete the object of a cloud, or every object of a depth picture: the objects of a picture are one scene."""
     from gfp_grasp.captures import complete_capture, read_capture
     from gfp_grasp.collision import CollisionConfig
     from gfp_grasp.complete import CompleteConfig
+    from gfp_grasp.completion import CompletedScene
+    from gfp_grasp.detect import upright_box
     from gfp_grasp.primitives import PrimitiveLibrary
 
     check_outputs(output)
@@ -73,17 +79,65 @@ def complete(
             replace(capture, **given), category=category, detector=detector, sensor=sensor, config=config, seed=seed
         )
         counts = [len(completion.parts) for completion in completions]
+    written, how = [], {"assets": "files" if files else "embedded", "contact": not bare}
+    scene = completions if isinstance(completions, CompletedScene) else None
+    names = [completion.category for completion in completions] if scene is None else scene.names
+    for path in output:
+        if scene is not None and not each:
+            written.append(scene.export(path, **how))
+            continue
+        for name, completion in zip(names, completions, strict=True):
+            own = path if len(completions) == 1 else path.with_stem(f"{path.stem}_{name}")
+            written.append(completion.export(own, **how))
     rows = []
-    for number, completion in enumerate(completions):
-        for path in output:
-            path = path if len(completions) == 1 else path.with_stem(f"{path.stem}_{number}")
-            completion.export(path, assets="files" if files else "embedded")
-        size_mm = " x ".join(f"{1000 * extent:.0f}" for extent in completion.mesh.extents)
+    for name, completion, count in zip(names, completions, counts, strict=True):
+        box = upright_box(np.asarray(completion.mesh.vertices), completion.detection.up)
+        size_mm = " x ".join(f"{1000 * extent:.0f}" for extent in box.extents)
         score = f"{completion.scores.get(completion.category, float('nan')):.2f}"
-        seen, parts = f"{completion.observed.mean():.0%}", str(counts[number])
         milliseconds = f"{1000 * sum(completion.timings_s.values()):.0f}"
-        rows.append((completion.category, score, size_mm, seen, parts, milliseconds))
-    table(("class", "score", "size, mm", "seen", "parts", "time, ms"), rows)
+        rows.append((name, score, size_mm, f"{completion.observed.mean():.0%}", str(count), milliseconds))
+    table(("object", "score", "size, mm", "seen", "parts", "time, ms"), rows)
+    for line in _notes(completions, names):
+        err.print(f"note: {line}", highlight=False, soft_wrap=True)
+    out.print("wrote " + ", ".join(str(path) for path in written), highlight=False, soft_wrap=True)
+
+
+def _notes(completions: Sequence["Completion"], names: Sequence[str]) -> Iterator[str]:
+    """What a user may not expect: classes that the fit chose against the classifier, and objects that gave way."""
+    for name, completion in zip(names, completions, strict=True):
+        likeliest = max(completion.scores, key=lambda word: completion.scores[word], default=completion.category)
+        if likeliest != completion.category:
+            says = f"{likeliest} ({completion.scores[likeliest]:.2f})"
+            yield f"{name} is named by what fits best; the classifier says {says}"
+    for way in getattr(completions, "gave_way", ()):
+        name, other, depth_mm = names[way.index], names[way.other], f"{1000 * way.depth_m:.0f} mm"
+        if way.moved:
+            yield f"{name} was cut back by {depth_mm} where it reached into {other}"
+        else:
+            yield f"{name} and {other} overlap by {depth_mm}"
+
+
+def check(
+    file: Annotated[Path, typer.Argument(help=".xml (MJCF) or .urdf, yours or anybody's.")],
+    seconds: Annotated[float, typer.Option(min=0.01, help="Simulated time, in the file's own options.")] = 2.0,
+) -> None:
+    """Load a scene in MuJoCo as it is, and say which of its objects stand still; exit status 1 if one does not."""
+    from gfp_grasp.scenes import check_file
+
+    checks = check_file(file, seconds=seconds)
+    rows = [
+        (
+            body.name,
+            f"{body.tilt_deg:.1f}",
+            f"{1000 * body.travel_m:.1f}",
+            f"{1000 * body.overlap_m:.1f}",
+            "yes" if body.stands else "no",
+        )
+        for body in checks
+    ]
+    table(("object", "tilt, deg", "travel, mm", "overlap, mm", "stands"), rows)
+    if not all(body.stands for body in checks):
+        raise typer.Exit(1)
 
 
 _SHELL_M = 0.002  # wall of a mesh without a volume

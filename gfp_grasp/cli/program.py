@@ -10,7 +10,7 @@ import typer
 from threadpoolctl import threadpool_limits
 
 from gfp_grasp.cli.bench_physics import bench  # which adds its commands to those of gfp_grasp.cli.bench
-from gfp_grasp.cli.complete import complete, decompose, demo, view
+from gfp_grasp.cli.complete import check, complete, decompose, demo, view
 from gfp_grasp.cli.score import score
 from gfp_grasp.cli.terminal import say_error
 from gfp_grasp.cli.training import gps, train
@@ -27,7 +27,7 @@ app = typer.Typer(
     no_args_is_help=True,
     pretty_exceptions_enable=False,
 )
-for command in (demo, complete, decompose, score, view):
+for command in (demo, complete, check, decompose, score, view):
     app.command()(command)
 for group in (gps, train, bench):
     app.add_typer(group)

@@ -1,6 +1,6 @@
 """Completed objects and scenes as files: meshes, MJCF in one file, URDF with a mesh for each part."""
 
-from gfp_grasp.export.formats import Body, MassProperties, body_text, mass_properties
+from gfp_grasp.export.formats import CONTACT_PRIORITY, CONTACT_SOLREF, Body, MassProperties, mass_properties
 from gfp_grasp.export.write import (
     SUFFIXES,
     export_bodies,
@@ -12,10 +12,11 @@ from gfp_grasp.export.write import (
 )
 
 __all__ = [
+    "CONTACT_PRIORITY",
+    "CONTACT_SOLREF",
     "SUFFIXES",
     "Body",
     "MassProperties",
-    "body_text",
     "export_bodies",
     "export_completion",
     "foot_pose",

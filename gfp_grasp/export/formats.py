@@ -158,7 +158,8 @@ def to_text(numbers: object) -> str:
 _GRAVITY = 9.81  # MuJoCo's own
 # Stiffer than MuJoCo's 20 ms, down to which a default marble sinks through the bottom of a cup, and as stiff as its
 # default step of 2 ms allows; the higher priority makes it hold against whatever the other geom has.
-_CONTACT = {"solref": "0.004 1", "priority": "1"}
+CONTACT_SOLREF = (0.004, 1.0)
+CONTACT_PRIORITY = 1
 
 
 def write_mjcf(
@@ -189,19 +190,11 @@ def write_mjcf(
     files = write_meshes(bodies, path) if in_files else [None] * len(bodies)
     for body, names in zip(bodies, files, strict=True):
         sources = [_embedded(shape) for shape in body.shapes] if names is None else [{"file": file} for file in names]
-        add_body(asset, world, body, sources, contact=contact)
+        _add_body(asset, world, body, sources, contact=contact)
     write_xml(root, path)
 
 
-def body_text(body: Body, *, contact: bool) -> str:
-    """MJCF of one body alone, its meshes embedded, without floor, light and options."""
-    root = ElementTree.Element("mujoco", model=body.name)
-    asset, world = ElementTree.SubElement(root, "asset"), ElementTree.SubElement(root, "worldbody")
-    add_body(asset, world, body, [_embedded(shape) for shape in body.shapes], contact=contact)
-    return ElementTree.tostring(root, encoding="unicode")
-
-
-def add_body(
+def _add_body(
     asset: ElementTree.Element,
     world: ElementTree.Element,
     body: Body,
@@ -229,7 +222,9 @@ def add_body(
     for index, source in enumerate(sources[1:]):
         hull = f"{body.name}_hull_{index:03d}"
         ElementTree.SubElement(asset, "mesh", {"name": hull, **source})
-        geom = {"name": hull, "type": "mesh", "mesh": hull, "group": "3", "mass": "0", **(_CONTACT if contact else {})}
+        geom = {"name": hull, "type": "mesh", "mesh": hull, "group": "3", "mass": "0"}
+        if contact:
+            geom |= {"solref": to_text(CONTACT_SOLREF), "priority": str(CONTACT_PRIORITY)}
         ElementTree.SubElement(element, "geom", geom)
 
 

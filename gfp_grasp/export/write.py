@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Literal
 
@@ -102,12 +103,13 @@ def export_bodies(
     """Write several objects into one file: a scene.
 
     `.xml` is MJCF with one floor and a free body for each object. `.urdf` has a link for each, on a floating joint of a
-    link "world". `.glb` has a node for each; `.obj`, `.ply` and `.stl` hold all meshes as one.
+    link "world", turned so that z is up, as its readers take for granted. `.glb` has a node for each; `.obj`, `.ply` and
+    `.stl` hold all meshes as one.
 
     Args:
         bodies: At least one; no two of the same name.
         path: The file; folders are made, files replaced.
-        up: (3,) normal of the floor, for .xml.
+        up: (3,) normal of the floor, for .xml and .urdf.
         floor_m: Height of the floor along up, for .xml; None takes that of the lowest point.
         assets: As in `export_completion`.
         contact: As in `export_completion`.
@@ -123,7 +125,7 @@ def export_bodies(
         raise InvalidOption(f"the bodies are {names}; at least one is expected, and each with a name of its own")
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.suffix.lower() == ".urdf":
-        write_urdf(bodies, path)
+        write_urdf([_turned(body, rotation_between(up, (0.0, 0.0, 1.0))) for body in bodies], path)
     elif in_parts:
         write_mjcf(bodies, path, up=up, floor_m=floor_m, in_files=assets == "files", contact=contact)
     else:
@@ -208,6 +210,10 @@ def _moved(shape: Part, T: np.ndarray) -> trimesh.Trimesh:
     if isinstance(shape, trimesh.Trimesh) and shape.visual.kind == "vertex":
         moved.visual = shape.visual.copy()
     return moved
+
+
+def _turned(body: Body, R: np.ndarray) -> Body:
+    return replace(body, T_world_body=make_T(R, np.zeros(3)) @ body.T_world_body)
 
 
 def _unit(up: ArrayLike) -> np.ndarray:

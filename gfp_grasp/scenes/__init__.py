@@ -8,11 +8,16 @@ from gfp_grasp.scenes.sources import ALL_FAMILIES, ObjectSource, class_and_name,
 from gfp_grasp.scenes.world import place_clutter
 
 if TYPE_CHECKING:
-    from gfp_grasp.scenes.build import build_scene, compile_scene, save_scene
+    from gfp_grasp.scenes.build import add_body, build_scene, compile_scene, save_scene
+    from gfp_grasp.scenes.check import BodyCheck, check_file, check_model
     from gfp_grasp.scenes.handles import Handles, gripper_pose, place_gripper
     from gfp_grasp.scenes.world import World
 
 _LATER = {
+    "BodyCheck": "check",
+    "add_body": "build",
+    "check_file": "check",
+    "check_model": "check",
     "Handles": "handles",
     "World": "world",
     "build_scene": "build",
@@ -25,11 +30,15 @@ _LATER = {
 __all__ = [
     "ALL_FAMILIES",
     "TARGET",
+    "BodyCheck",
     "Handles",
     "ObjectSource",
     "SceneObject",
     "World",
+    "add_body",
     "build_scene",
+    "check_file",
+    "check_model",
     "class_and_name",
     "compile_scene",
     "gripper_pose",

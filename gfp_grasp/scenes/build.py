@@ -12,6 +12,7 @@ import trimesh
 
 from gfp_grasp.assets import data_dir
 from gfp_grasp.errors import InvalidScene
+from gfp_grasp.export import CONTACT_PRIORITY, CONTACT_SOLREF, Body
 from gfp_grasp.scenes.objects import SceneObject
 from gfp_grasp.transforms import quat_wxyz
 from gfp_grasp.types import ConvexPart
@@ -61,6 +62,33 @@ def build_scene(
         taken.add(thing.name)
         _add_object(spec, thing, _COLOURS[number % len(_COLOURS)])
     return spec
+
+
+def add_body(spec: mujoco.MjSpec, body: Body, *, prefix: str = "", contact: bool = True) -> None:
+    """Add a completed object to any scene, as `export` writes it: free, with its inertia, its mesh and its parts.
+
+    Args:
+        spec: The scene.
+        body: What is added; its frame is placed in the scene's world.
+        prefix: Goes before the names of body, joint, geoms and meshes.
+        contact: Parts carry contact parameters with which it stands still at MuJoCo's default options.
+    """
+    T, name = body.T_world_body, prefix + body.name
+    added = spec.worldbody.add_body(name=name, pos=T[:3, 3], quat=quat_wxyz(T[:3, :3]))
+    added.add_freejoint(name=f"{name}_free")
+    added.explicitinertial = True
+    added.mass, added.ipos = body.weight.mass_kg, body.weight.centre
+    inertia = body.weight.inertia
+    added.fullinertia = [inertia[i, j] for i, j in ((0, 0), (1, 1), (2, 2), (0, 1), (0, 2), (1, 2))]
+    visual = f"{name}_visual"
+    _add_mesh(spec, visual, body.mesh.vertices, body.mesh.faces)
+    looks = {"contype": 0, "conaffinity": 0, "group": 2, "rgba": [0.55, 0.65, 0.8, 1.0]}
+    added.add_geom(name=visual, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=visual, mass=0, **looks)
+    how = {"solref": CONTACT_SOLREF, "priority": CONTACT_PRIORITY} if contact else {}
+    for index, part in enumerate(body.parts):
+        hull = f"{name}_hull_{index:03d}"
+        _add_mesh(spec, hull, part.vertices, part.faces)
+        added.add_geom(name=hull, type=mujoco.mjtGeom.mjGEOM_MESH, meshname=hull, group=3, mass=0, **how)
 
 
 def compile_scene(spec: mujoco.MjSpec) -> mujoco.MjModel:

@@ -1,0 +1,127 @@
+"""Whether the objects of a simulator's file stand still: how far they tilt and travel, and how deep they overlap."""
+
+# MuJoCo's names come from compiled modules, into which the type checker does not see.
+# pyright: reportAttributeAccessIssue=false
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import mujoco
+import numpy as np
+
+from gfp_grasp.errors import InvalidScene, UnreadableFile
+
+SECONDS = 2.0
+MOST_TILT_DEG, MOST_TRAVEL_M = 5.0, 0.005
+_SPACE_M = 1.0  # of the floor below everything, beside what stands on it
+
+
+@dataclass(frozen=True)
+class BodyCheck:
+    """How one free body behaved.
+
+    Attributes:
+        name: The body.
+        tilt_deg: Angle between its upright before and after.
+        travel_m: Way of its centre of mass and of the origin of its frame, whichever is longer.
+        overlap_m: How deep it overlapped with anything at the start.
+    """
+
+    name: str
+    tilt_deg: float
+    travel_m: float
+    overlap_m: float
+
+    @property
+    def stands(self) -> bool:
+        """Whether it tilted by less than 5 degrees and travelled by less than 5 mm."""
+        return self.tilt_deg < MOST_TILT_DEG and self.travel_m < MOST_TRAVEL_M
+
+
+def check_file(path: str | Path, *, seconds: float = SECONDS) -> tuple[BodyCheck, ...]:
+    """Load an MJCF or URDF file as it is, and see how its free bodies behave.
+
+    A URDF knows no floor: its objects get one that touches their lowest point, and a root link that is fixed to nothing
+    falls freely.
+
+    Args:
+        path: .xml or .urdf, anybody's.
+        seconds: Simulated time, in the file's own options.
+
+    Raises:
+        UnreadableFile: MuJoCo does not read it; the message is MuJoCo's.
+        InvalidScene: Nothing in it is free to move.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise UnreadableFile(f"{path} is no file")
+    try:
+        spec = mujoco.MjSpec.from_file(str(path))
+        if path.suffix.lower() == ".urdf":
+            _put_on_floor(spec)
+        model = spec.compile()
+    except ValueError as error:
+        raise UnreadableFile(f"MuJoCo does not read {path}: {error}") from error
+    return check_model(model, seconds=seconds)
+
+
+def check_model(model: mujoco.MjModel, *, seconds: float = SECONDS) -> tuple[BodyCheck, ...]:
+    """How the free bodies of a model behave from its first state on; see `check_file`."""
+    free = [model.jnt_bodyid[j] for j in range(model.njnt) if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_FREE]
+    if not free:
+        raise InvalidScene("no body of the scene has a free joint: nothing in it can stand or fall")
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    overlap_m = _overlaps_m(model, data)
+    before = data.xmat.reshape(-1, 3, 3).copy(), data.xpos.copy(), data.xipos.copy()
+    gravity = np.array(model.opt.gravity)
+    up = -gravity / np.linalg.norm(gravity) if gravity.any() else np.array([0.0, 0.0, 1.0])
+    while data.time < seconds and np.isfinite(data.qpos).all():
+        mujoco.mj_step(model, data)
+    found = []
+    for body in free:
+        turn = data.xmat[body].reshape(3, 3) @ before[0][body].T
+        ways = (data.xpos[body] - before[1][body], data.xipos[body] - before[2][body])
+        travel_m = max(float(np.linalg.norm(way)) for way in ways)
+        tilt_deg = float(np.degrees(np.arccos(np.clip(up @ turn @ up, -1.0, 1.0))))
+        name = model.body(body).name or f"body {body}"
+        found.append(BodyCheck(name, tilt_deg, travel_m, overlap_m[body]))
+    return tuple(found)
+
+
+def _overlaps_m(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
+    """Deepest overlap of each body (b,) with anything, m."""
+    deepest = np.zeros(model.nbody)
+    for contact in data.contact:
+        for geom in (contact.geom1, contact.geom2):
+            body = model.geom_bodyid[geom]
+            deepest[body] = max(deepest[body], -float(contact.dist))
+    return deepest
+
+
+def _put_on_floor(spec: mujoco.MjSpec) -> None:
+    spec.compiler.fusestatic = False  # else a single link becomes a part of the world
+    roots = [body for body in spec.bodies if body.parent is not None and body.parent.name == "world"]
+    for body in roots:
+        if not body.joints:
+            body.add_freejoint()
+    model = spec.compile()
+    data = mujoco.MjData(model)
+    mujoco.mj_forward(model, data)
+    solid = [g for g in range(model.ngeom) if model.geom_contype[g] or model.geom_conaffinity[g]]
+    lowest_m = min((float(_corners(model, data, g)[:, 2].min()) for g in solid), default=0.0)
+    spec.worldbody.add_geom(type=mujoco.mjtGeom.mjGEOM_PLANE, size=[_SPACE_M, _SPACE_M, 0.1], pos=[0.0, 0.0, lowest_m])
+
+
+def _corners(model: mujoco.MjModel, data: mujoco.MjData, geom: int) -> np.ndarray:
+    """World vertices (n, 3) m of a mesh's geom; of another shape, the corners of its box."""
+    R, place = data.geom_xmat[geom].reshape(3, 3), data.geom_xpos[geom]
+    mesh = model.geom_dataid[geom]
+    if model.geom_type[geom] == mujoco.mjtGeom.mjGEOM_MESH and mesh >= 0:
+        start = model.mesh_vertadr[mesh]
+        return model.mesh_vert[start : start + model.mesh_vertnum[mesh]] @ R.T + place
+    centre, half = model.geom_aabb[geom, :3], model.geom_aabb[geom, 3:]
+    signs = np.array(np.meshgrid(*[(-1.0, 1.0)] * 3)).reshape(3, -1).T
+    return (centre + signs * half) @ R.T + place
