@@ -19,7 +19,6 @@ from gfp_grasp.detect import DetectConfig, Detector, clean_cloud, detect_single,
 from gfp_grasp.errors import FitDiverged, InvalidOption, InvalidView, UnknownCategory
 from gfp_grasp.level import level_frame, make_level_view, mark_observed, move_detection
 from gfp_grasp.meshes import crossing_faces
-from gfp_grasp.overlap import make_way
 from gfp_grasp.parallel import one_thread
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.recognition import SURE_SCORE, candidate_primitives, recognise, sureness
@@ -34,7 +33,6 @@ from gfp_grasp.types import (
     LevelView,
     RangeImage,
     SensorProfile,
-    SupportPlane,
     View,
     get_sensor,
 )
@@ -165,8 +163,7 @@ def complete_scene(
     if not isinstance(image, DepthImage):
         raise InvalidView(f"image is a {type(image).__name__}; a gfp_grasp.types.DepthImage is expected")
     done, failure = [], None
-    detections = get_detector(detector)(image, up=checked_direction(up))
-    for detection in detections:
+    for detection in get_detector(detector)(image, up=checked_direction(up)):
         try:
             done.append(complete_detection(detection, config=config, seed=seed))
         except FitDiverged as error:
@@ -174,7 +171,7 @@ def complete_scene(
             failure = error
     if failure is not None and not done:
         raise FitDiverged(f"no object of the picture could be completed; the last: {failure}")
-    return _as_scene(done, image, next((d.support for d in detections if d.support is not None), None))
+    return CompletedScene.of(done, image)
 
 
 @one_thread()
@@ -191,22 +188,6 @@ def complete_detection(detection: Detection, *, config: CompleteConfig | None = 
         FitDiverged: No primitive could be fitted.
     """
     return _complete(detection, np.eye(4), config or CompleteConfig(), seed, timings_s={})
-
-
-def _as_scene(done: list[Completion], image: DepthImage, support: SupportPlane | None) -> CompletedScene:
-    """The completions, none of which reaches into another."""
-    first = done[0].detection
-    apart = make_way(
-        [completion.shape for completion in done],
-        up=first.up if support is None else support.normal,
-        floor_m=None if support is None else support.height_m,
-        sigma_m=first.sensor.sigma_m,
-    )
-    completions = tuple(
-        replace(completion, shape=shape, bounds=bounds)
-        for completion, shape, bounds in zip(done, apart.shapes, apart.bounds, strict=True)
-    )
-    return CompletedScene(completions, image, support, tuple(apart.gave_way))
 
 
 def _detect(

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Container, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import count
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, overload
+from typing import TYPE_CHECKING, Any, Literal, overload
 
 import numpy as np
 import trimesh
 
 from gfp_grasp.collision import CollisionConfig
 from gfp_grasp.errors import InvalidOption
-from gfp_grasp.overlap import GaveWay
+from gfp_grasp.overlap import GaveWay, make_way
 from gfp_grasp.types import (
     CollisionMesh,
     CompletedShape,
@@ -26,8 +26,6 @@ from gfp_grasp.types import (
 )
 
 if TYPE_CHECKING:
-    import mujoco
-
     from gfp_grasp.export import Body
 
 
@@ -149,11 +147,11 @@ class Completion:
             contact=contact,
         )
 
-    def add_to(self, spec: mujoco.MjSpec, prefix: str = "", *, name: str | None = None, contact: bool = True) -> str:
+    def add_to(self, spec: Any, prefix: str = "", *, name: str | None = None, contact: bool = True) -> str:
         """Add the completion to a user's own scene as a body that is free to move.
 
         Args:
-            spec: The scene; its world is the input's frame.
+            spec: The scene, a mujoco.MjSpec; its world is the input's frame.
             prefix: Goes before all names that are added.
             name: Name of the body; None takes the class, with a number where that is taken.
             contact: As in `export`.
@@ -206,6 +204,23 @@ class CompletedScene(Sequence[Completion]):
     support: SupportPlane | None
     gave_way: tuple[GaveWay, ...] = ()
 
+    @classmethod
+    def of(cls, completions: Sequence[Completion], view: DepthImage) -> CompletedScene:
+        """A scene of one or more completions of a picture, cut back where they reach into each other."""
+        detections = [completion.detection for completion in completions]
+        support = next((found.support for found in detections if found.support is not None), None)
+        apart = make_way(
+            [completion.shape for completion in completions],
+            up=detections[0].up if support is None else support.normal,
+            floor_m=None if support is None else support.height_m,
+            sigma_m=detections[0].sensor.sigma_m,
+        )
+        made = tuple(
+            replace(completion, shape=shape, bounds=bounds)
+            for completion, shape, bounds in zip(completions, apart.shapes, apart.bounds, strict=True)
+        )
+        return cls(made, view, support, tuple(apart.gave_way))
+
     @overload
     def __getitem__(self, index: int) -> Completion: ...
     @overload
@@ -254,8 +269,8 @@ class CompletedScene(Sequence[Completion]):
         floor_m = None if self.support is None else self.support.height_m
         return export_bodies(self.bodies(), path, up=self.up, floor_m=floor_m, assets=assets, contact=contact)
 
-    def add_to(self, spec: mujoco.MjSpec, prefix: str = "", *, contact: bool = True) -> tuple[str, ...]:
-        """Add all objects to a user's own scene as free bodies, whose names are returned; see `Completion.add_to`."""
+    def add_to(self, spec: Any, prefix: str = "", *, contact: bool = True) -> tuple[str, ...]:
+        """Add all objects to a mujoco.MjSpec as free bodies and return their names; see `Completion.add_to`."""
         return tuple(completion.add_to(spec, prefix, contact=contact) for completion in self.completions)
 
     def bodies(self) -> list[Body]:

@@ -172,7 +172,7 @@ def _between(a: np.ndarray, b: np.ndarray, weights: list[np.ndarray]) -> np.ndar
     points = np.vstack([a, b])
     size = float(points.std())
     labels = np.repeat([0, 1], [len(a), len(b)])
-    machine = LinearSVC(dual=False, C=1e3, random_state=0)
+    machine = LinearSVC(dual="auto", C=1e3, random_state=0)
     normal = machine.fit((points - points.mean(axis=0)) / size, labels, sample_weight=np.concatenate(weights)).coef_
     return normal / np.linalg.norm(normal)
 

@@ -18,7 +18,7 @@ ROWS = (
     ("errors", "types", "assets", "transforms", "parallel", "journal", "plugins"),
     ("camera", "clouds", "meshes", "metrics", "shapes", "collision"),
     ("arguments", "level", "recognition", "primitives", "detect", "register", "deform", "grasps"),
-    ("complete", "completers", "completion", "export", "scenes", "datasets", "captures"),
+    ("overlap", "complete", "completers", "completion", "export", "scenes", "datasets", "captures"),
     ("envs", "train"),
     ("drawing",),
     ("score", "bench", "view"),

@@ -103,8 +103,8 @@ def export_bodies(
     """Write several objects into one file: a scene.
 
     `.xml` is MJCF with one floor and a free body for each object. `.urdf` has a link for each, on a floating joint of a
-    link "world", turned so that z is up, as its readers take for granted. `.glb` has a node for each; `.obj`, `.ply` and
-    `.stl` hold all meshes as one.
+    link "world", turned so that z is up, as its readers take for granted. `.glb` has a node for each; `.obj`, `.ply`
+    and `.stl` hold all meshes as one.
 
     Args:
         bodies: At least one; no two of the same name.
@@ -206,10 +206,9 @@ def _check_assets(assets: str) -> None:
 
 
 def _moved(shape: Part, T: np.ndarray) -> trimesh.Trimesh:
-    moved = trimesh.Trimesh(apply_T(T, shape.vertices), np.array(shape.faces), process=False)
-    if isinstance(shape, trimesh.Trimesh) and shape.visual.kind == "vertex":
-        moved.visual = shape.visual.copy()
-    return moved
+    if isinstance(shape, trimesh.Trimesh):
+        return shape.copy().apply_transform(T)
+    return trimesh.Trimesh(apply_T(T, shape.vertices), np.array(shape.faces), process=False)
 
 
 def _turned(body: Body, R: np.ndarray) -> Body:

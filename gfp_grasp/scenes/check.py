@@ -87,7 +87,7 @@ def check_model(model: mujoco.MjModel, *, seconds: float = SECONDS) -> tuple[Bod
         travel_m = max(float(np.linalg.norm(way)) for way in ways)
         tilt_deg = float(np.degrees(np.arccos(np.clip(up @ turn @ up, -1.0, 1.0))))
         name = model.body(body).name or f"body {body}"
-        found.append(BodyCheck(name, tilt_deg, travel_m, overlap_m[body]))
+        found.append(BodyCheck(name, tilt_deg, travel_m, float(overlap_m[body])))
     return tuple(found)
 
 
