@@ -167,7 +167,8 @@ class Completion:
 
         taken = {body.name for body in spec.bodies}
         if name is None:
-            name = free_name(legal_name(self.category or "object"), {t[len(prefix) :] for t in taken})
+            own = {body.removeprefix(prefix) for body in taken if body.startswith(prefix)}
+            name = free_name(legal_name(self.category or "object"), own)
         elif prefix + name in taken:
             raise InvalidOption(f"the scene has a body {prefix + name!r} already: give another name or prefix")
         add_body(spec, self.body(name), prefix=prefix, contact=contact)
@@ -206,7 +207,9 @@ class CompletedScene(Sequence[Completion]):
 
     @classmethod
     def of(cls, completions: Sequence[Completion], view: DepthImage) -> CompletedScene:
-        """A scene of one or more completions of a picture, cut back where they reach into each other."""
+        """A scene of the completions of a picture, cut back where they reach into each other."""
+        if not completions:
+            return cls((), view, None)
         detections = [completion.detection for completion in completions]
         support = next((found.support for found in detections if found.support is not None), None)
         apart = make_way(
@@ -245,8 +248,10 @@ class CompletedScene(Sequence[Completion]):
 
     @property
     def up(self) -> np.ndarray:
-        """(3,) normal of what the objects stand on."""
-        return self.completions[0].detection.up if self.support is None else self.support.normal
+        """(3,) normal of what the objects stand on; z where nothing is known of it."""
+        if self.support is not None:
+            return self.support.normal
+        return self.completions[0].detection.up if self.completions else np.array([0.0, 0.0, 1.0])
 
     def export(
         self, path: str | Path, *, assets: Literal["embedded", "files"] = "embedded", contact: bool = True

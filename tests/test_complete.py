@@ -166,7 +166,9 @@ def test_completion_is_written_as_a_body_of_its_class_with_its_parts(mug, tmp_pa
     written = link.find(mass)
     assert written is not None
     kg = float(written.attrib["value" if suffix == ".urdf" else "mass"])
-    assert kg == pytest.approx(1000 * completion.mesh.volume, rel=1e-6)
+    assert completion.fit is not None
+    assert kg == pytest.approx(np.mean(completion.fit.primitive.spec.density_kg_m3) * completion.mesh.volume, rel=1e-6)
+    assert kg == pytest.approx(1650 * completion.mesh.volume, rel=1e-6)
     shapes = link.findall("collision") + [g for g in link.findall("geom") if "hull" in g.attrib["name"]]
     assert len(shapes) == len(completion.parts)
 

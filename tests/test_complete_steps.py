@@ -110,24 +110,25 @@ def test_objects_of_a_scene_are_completed_one_by_one_and_those_that_fit_nothing_
 ) -> None:
     received: list[Any] = []
 
-    def complete(detection: str, **named: Any) -> str:
+    def complete(detection: str, **named: Any) -> Completion:
         received.append((detection, named))
         if detection == "odd":
             raise FitDiverged("no start converged")
-        return f"completed {detection}"
+        return toy_completion((0.2 * (detection == "b"), 0.0, 0.05), category=detection)
 
     monkeypatch.setattr("gfp_grasp.complete.complete_detection", complete)
     monkeypatch.setattr("gfp_grasp.complete.get_detector", lambda detector: detector)
-    detect, config = Recorder(["a", "odd", "b"]), CompleteConfig(rival_share=0.5)
+    detect, config, image = Recorder(["a", "odd", "b"]), CompleteConfig(rival_share=0.5), toy_image()
     with pytest.warns(UserWarning, match="an object was left out: no start converged"):
-        made = complete_scene(toy_image(), up=(0.0, 2.0, 0.0), detector=detect, config=config, seed=7)
-    assert made == ("completed a", "completed b")
+        made = complete_scene(image, up=(0.0, 2.0, 0.0), detector=detect, config=config, seed=7)
+    assert [(completion.category, completion.mesh.centroid[0]) for completion in made] == [("a", 0.0), ("b", 0.2)]
+    assert made.view is image
     assert [name for name, _ in received] == ["a", "odd", "b"]
     assert all(named == {"config": config, "seed": 7} for _, named in received)
     np.testing.assert_array_equal(detect.only[1]["up"], (0.0, 1.0, 0.0))
     with pytest.warns(UserWarning, match="left out"), pytest.raises(FitDiverged, match="no object of the picture"):
         complete_scene(toy_image(), detector=Recorder(["odd"]))
-    assert complete_scene(toy_image(), detector=Recorder([])) == ()
+    assert complete_scene(toy_image(), detector=Recorder([])).completions == ()
 
 
 def test_a_detector_has_a_name_and_up_is_z_where_nothing_is_said(monkeypatch: pytest.MonkeyPatch) -> None:

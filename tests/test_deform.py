@@ -226,18 +226,20 @@ def test_unknown_method_is_refused_with_the_legal_ones():
 
 
 def test_a_thing_as_large_as_a_car_is_deformed_as_a_cup_is(fitted):
-    """The toy cup, its fit and its observation, all 64 times as large: so is the answer, by every method."""
+    """The toy cup, its fit, its observation and the noise, all 64 times as large: so is the answer, by every method."""
     fit, view, _ = fitted
     times = 64.0  # a power of two: rounding is the same
     primitive = replace(fit.primitive, vertices=times * fit.primitive.vertices, modes=times * fit.primitive.modes)
     T = fit.T_world_object.copy()
     T[:3, 3] *= times
     large = replace(fit, primitive=primitive, T_world_object=T)
+    lengths = {name: size for name, size in vars(view.sensor).items() if name.endswith("_m")}
     large_view = replace(
         view,
         cloud=PointCloud(times * view.cloud.points, times * view.viewpoint),
         dense_points=times * view.dense_points,
         points=times * view.points,
+        sensor=replace(view.sensor, **{name: times * size for name, size in lengths.items()}),
     )
     assert np.ptp(large.vertices_world(), axis=0).max() > 4.0
     for method in ("gfpnet", "gfs", "gfpnet-paper"):

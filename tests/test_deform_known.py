@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 from moments import assert_known
-from toy_bodies import fit_of, l_body, primitive_of, view_of
+from toy_bodies import detection_of, fit_of, l_body, moved_view, primitive_of
 from toy_primitive import toy_cup_primitive
 from toy_wedge import wedge_primitive
 
@@ -24,6 +24,7 @@ from gfp_grasp.deform import (
     make_patches,
     patch_layout,
     patch_unit_m,
+    shape,
     solve_change,
     template_points,
 )
@@ -31,7 +32,9 @@ from gfp_grasp.deform.gfpnet import PatchAnswer, change_field
 from gfp_grasp.deform.patches import blend
 from gfp_grasp.deform.shape import _blend_sigma, _offsets_to, damp_until_solid, diffuse, patch_tensors
 from gfp_grasp.errors import InvalidOption
+from gfp_grasp.level import make_level_view
 from gfp_grasp.meshes import vertex_normals
+from gfp_grasp.transforms import apply_T, invert_T
 from gfp_grasp.types import FittedPrimitive, LevelView
 
 EYE = np.array([0.5, 0.3, 0.3])
@@ -45,13 +48,19 @@ def fit() -> FittedPrimitive:
 
 
 @pytest.fixture(scope="module")
-def view(fit: FittedPrimitive) -> LevelView:
-    """The side of the fitted cup that faces the eye, pushed out by up to 4 mm."""
+def seen_level(fit: FittedPrimitive) -> LevelView:
+    """The side of the fitted cup that faces the eye, pushed out by up to 4 mm, in the level frame."""
     vertices = fit.primitive.shape(fit.coefficients, fit.scale)
     normals = vertex_normals(vertices, fit.primitive.faces)
     seen = np.einsum("vi,vi->v", EYE - vertices, normals) > 0.3 * np.linalg.norm(EYE - vertices, axis=1)
     pushed = vertices + 0.002 * (1 + np.sin(60 * vertices[:, 2:])) * normals
-    return view_of(pushed[seen], EYE)
+    return make_level_view(detection_of(pushed[seen], EYE))
+
+
+@pytest.fixture(scope="module")
+def view(seen_level: LevelView) -> LevelView:
+    """The same in the frame of the fit."""
+    return moved_view(seen_level, seen_level.T_world_level)
 
 
 def _patches(fit: FittedPrimitive, view: LevelView):
@@ -100,11 +109,25 @@ def test_template_points_are_mirrored_as_ever(fit: FittedPrimitive, view: LevelV
 
 
 @pytest.mark.parametrize("method", ["gfpnet", "gfpnet-paper", "gfpnet-oneshot", "gfs"])
-def test_methods_end_where_they_have_ended(fit: FittedPrimitive, view: LevelView, method) -> None:
-    found = deform(fit, view, config=DeformConfig(method=method))
-    assert_known(f"deformed {method}", found.vertices, rel=1e-4)
+def test_methods_end_where_they_have_ended(
+    monkeypatch: pytest.MonkeyPatch, fit: FittedPrimitive, seen_level: LevelView, method
+) -> None:
+    """Deformed in the level frame; without its feet on the floor, and with them."""
+    T = seen_level.T_world_level
+    level = replace(fit, T_world_object=invert_T(T) @ fit.T_world_object)
+    found = deform(level, seen_level, config=DeformConfig(method=method))
+    monkeypatch.setattr(shape, "stood", lambda vertices, faces, view: vertices)
+    free = deform(level, seen_level, config=DeformConfig(method=method))
+    assert_known(f"deformed {method}", apply_T(T, free.vertices), rel=1e-4)
     assert_known(f"deformed {method} sigma", np.nan_to_num(found.sigma_m, nan=1.0), rel=1e-3)
     assert_known(f"deformed {method} kept", [found.kept], rel=1e-4)
+    assert_known(f"deformed {method} standing", apply_T(T, found.vertices), rel=1e-4)
+    foot = fit.primitive.shape(fit.coefficients, fit.scale)[:, 2] < 1e-9
+    np.testing.assert_allclose(found.vertices[~foot], free.vertices[~foot], atol=1e-12)
+    lowered = (free.vertices - found.vertices)[foot]
+    np.testing.assert_allclose(lowered[:, :2], 0.0, atol=1e-12)
+    assert lowered[:, 2].min() > -1e-12
+    assert 1e-4 < lowered[:, 2].max() < 1.1e-3
 
 
 def test_contours_end_where_they_have_ended() -> None:

@@ -1,4 +1,4 @@
-"""What `deform` makes of a network's answers: a cup that stands askew, and networks whose answers are known."""
+"""What `deform` makes of the answers of networks, which are known here: a cup in the level frame, turned about z."""
 
 from dataclasses import replace
 
@@ -6,31 +6,38 @@ import numpy as np
 import pytest
 import torch
 from scipy.spatial import KDTree
-from toy_bodies import T_WORLD_OBJECT, fit_of, moved_view, view_of
+from toy_bodies import T_WORLD_OBJECT, detection_of, fit_of, moved_view
 from toy_primitive import toy_cup_primitive
 
 from gfp_grasp.deform import DeformConfig, Method, deform, patch_layout, patch_unit_m
 from gfp_grasp.deform import gfpnet as networks
 from gfp_grasp.deform import shape as methods
+from gfp_grasp.level import make_level_view
 from gfp_grasp.meshes import vertex_normals
-from gfp_grasp.transforms import invert_T, make_T
+from gfp_grasp.transforms import invert_T, make_T, rotation_about
 
 EYE = np.array([0.5, 0.3, 0.3])  # in the cup's frame
 SCALE = np.array([1.2, 0.9, 1.1])
 
 
 @pytest.fixture(scope="module")
-def fit():
-    return fit_of(toy_cup_primitive(), scale=SCALE)
+def view():
+    """The side of the cup that faces the eye, pushed out by 1 mm."""
+    cup = fit_of(toy_cup_primitive(), scale=SCALE)
+    vertices = cup.primitive.shape(cup.coefficients, cup.scale)
+    normals = vertex_normals(vertices, cup.primitive.faces)
+    seen = np.einsum("vi,vi->v", EYE - vertices, normals) > 0.3 * np.linalg.norm(EYE - vertices, axis=1)
+    return make_level_view(detection_of((vertices + 0.001 * normals)[seen], EYE))
 
 
 @pytest.fixture(scope="module")
-def view(fit):
-    """The side of the fitted cup that faces the eye, pushed out by 1 mm."""
-    vertices = fit.primitive.shape(fit.coefficients, fit.scale)
-    normals = vertex_normals(vertices, fit.primitive.faces)
-    seen = np.einsum("vi,vi->v", EYE - vertices, normals) > 0.3 * np.linalg.norm(EYE - vertices, axis=1)
-    return view_of((vertices + 0.001 * normals)[seen], EYE)
+def fit(view):
+    return fit_in(view)
+
+
+def fit_in(view):
+    """The cup where it is in the level frame of a view."""
+    return fit_of(toy_cup_primitive(), T=invert_T(view.T_world_level) @ T_WORLD_OBJECT, scale=SCALE)
 
 
 class Answering:
@@ -71,12 +78,12 @@ def answer_per_point(monkeypatch, offset, log_sigma: float | np.ndarray = 0.0, f
 
 def displacement_of(deformed, fit):
     """(v, 3) m in the frame of the object."""
-    return (deformed.vertices - fit.vertices_world()) @ T_WORLD_OBJECT[:3, :3]
+    return (deformed.vertices - fit.vertices_world()) @ fit.T_world_object[:3, :3]
 
 
 def test_no_method_leaves_the_fit_as_it_is(fit, view):
     deformed = deform(fit, view, config=DeformConfig(method="none"))
-    np.testing.assert_array_equal(deformed.vertices, fit.vertices_world())
+    np.testing.assert_allclose(deformed.vertices, fit.vertices_world(), rtol=0, atol=1e-15)
     assert np.isnan(deformed.sigma_m).all()
     assert deformed.kept == 1.0
 
@@ -207,7 +214,9 @@ def test_the_papers_network_sees_only_patches_with_points_and_what_it_says_is_di
     middle = np.argmax(vertices @ (0.5, 0.3, 0.0) - np.abs(vertices[:, 2] - 0.06))
     spot = vertices[:320][np.linalg.norm(vertices[:320] - vertices[middle], axis=1) < 0.026]
     network = Answering(monkeypatch, lambda source, template: source + torch.tensor([0.0, 0.0, 0.03]))
-    deformed = deform(fit, view_of(spot, EYE), config=DeformConfig(method="gfpnet-paper"))
+    view = make_level_view(detection_of(spot, EYE))
+    fit = fit_in(view)
+    deformed = deform(fit, view, config=DeformConfig(method="gfpnet-paper"))
     moved = np.linalg.norm(displacement_of(deformed, fit), axis=1)
     index, _ = patch_layout(fit.primitive)
     assert 1 <= len(network.asked[0][0][0]) < len(index) / 2
@@ -265,16 +274,54 @@ def test_the_contour_draws_the_seen_side_out_and_leaves_the_far_side(fit, view):
     assert np.isnan(deformed.sigma_m).all()
 
 
-def test_deformation_turns_with_the_scene(fit, view):
-    """The default network's answer is the same in the object's frame wherever the object lies."""
-    T = make_T(None, (-3.0, 1.0, 0.2))
-    move = T @ invert_T(T_WORLD_OBJECT)
+@pytest.mark.parametrize("stands", [False, True])
+def test_deformation_turns_with_the_scene(monkeypatch, fit, view, stands):
+    """The default network's answer is the same in the object's frame wherever the object lies; its feet want z up."""
+    if not stands:
+        monkeypatch.setattr(methods, "stood", lambda vertices, faces, view: vertices)
+    T = make_T(rotation_about((0, 0, 1), 2.3), (-3.0, 1.0, 0.2)) if stands else T_WORLD_OBJECT
     here = displacement_of(deform(fit, view), fit)
     there = replace(fit, T_world_object=T)
-    deformed = deform(there, moved_view(view, move))
-    moved = deformed.vertices - there.vertices_world()
+    moved = displacement_of(deform(there, moved_view(view, T @ invert_T(fit.T_world_object))), there)
     assert np.abs(here).max() > 2e-4
     assert np.abs(moved - here).max() < 0.1 * np.abs(here).max()
+
+
+@pytest.mark.parametrize("method", ["none", "gfpnet", "gfs"])
+def test_what_stands_is_put_where_it_stands_in_the_level_frame(monkeypatch, fit, view, method):
+    """The whole cup goes 3 mm aside and 2 mm down, after its deformation and in the axes of the level frame."""
+    config, step, asked = DeformConfig(method=method), np.array([0.003, -0.001, -0.002]), []
+    monkeypatch.setattr(methods, "stood", lambda vertices, faces, view: vertices)
+    free = deform(fit, view, config=config)
+
+    def moved(vertices, faces, seen):
+        asked.append((vertices, faces is fit.primitive.faces, seen is view))
+        return vertices + step
+
+    monkeypatch.setattr(methods, "stood", moved)
+    placed = deform(fit, view, config=config)
+    ((vertices, *same),) = asked
+    assert same == [True, True]
+    assert free.kept == placed.kept == 1.0
+    assert vertices == pytest.approx(free.vertices, abs=1e-12)
+    assert placed.vertices == pytest.approx(free.vertices + step, abs=1e-12)
+
+
+@pytest.mark.parametrize("method", ["none", "gfpnet", "gfs"])
+def test_feet_that_a_method_leaves_above_the_floor_come_to_lie_in_it(monkeypatch, fit, view, method):
+    """Every vertex of the cup's foot, and only these: the rest is where the method put it."""
+    foot = fit.primitive.shape(fit.coefficients, fit.scale)[:, 2] < 1e-9
+    seen = replace(view, floor_seen=True)
+    lift = make_T(None, (0, 0, 0.0002 - fit.vertices_world()[:, 2].min()))
+    lifted = replace(fit, T_world_object=lift @ fit.T_world_object)
+    deformed = deform(lifted, seen, config=DeformConfig(method=method))
+    monkeypatch.setattr(methods, "stood", lambda vertices, faces, view: vertices)
+    free = deform(lifted, seen, config=DeformConfig(method=method))
+    assert deformed.vertices[~foot] == pytest.approx(free.vertices[~foot], abs=1e-12)
+    assert deformed.vertices[foot, :2] == pytest.approx(free.vertices[foot, :2], abs=1e-12)
+    low = foot & (free.vertices[:, 2] < 0.0003)
+    assert low.sum() > 5
+    assert deformed.vertices[low, 2] == pytest.approx(np.zeros(low.sum()), abs=1e-12)
 
 
 @pytest.mark.parametrize("iterations", [0, -1])

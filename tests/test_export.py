@@ -3,16 +3,18 @@
 
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
+from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
 import trimesh
 import yourdfpy
+from numpy.typing import ArrayLike
 
 from gfp_grasp.errors import InvalidMesh, InvalidOption
-from gfp_grasp.export import SUFFIXES, export_completion, legal_name, mass_properties, needs_parts
-from gfp_grasp.transforms import make_T, rotation_about
+from gfp_grasp.export import SUFFIXES, export_completion, foot_pose, legal_name, mass_properties, needs_parts
+from gfp_grasp.transforms import apply_T, invert_T, make_T, rotation_about
 from gfp_grasp.types import ConvexPart
 
 
@@ -60,7 +62,8 @@ def test_mjcf_compiles_with_mass_centre_and_inertia_of_the_walls(tmp_path):
     assert model.nmesh == 1 + len(parts)
     assert model.body_mass.sum() == pytest.approx(700 * mesh.volume, rel=1e-6)
     body = model.body("cup")
-    np.testing.assert_allclose(body.ipos, mesh.center_mass, atol=1e-7)
+    np.testing.assert_allclose(body.pos, (0.3, -0.2, 0.5), atol=1e-8)
+    np.testing.assert_allclose(apply_T(place_of(body), body.ipos), mesh.center_mass, atol=1e-7)
     expected = np.sort(np.linalg.eigvalsh(mesh.moment_inertia)) * 700
     np.testing.assert_allclose(np.sort(body.inertia), expected, rtol=1e-5)
 
@@ -150,7 +153,7 @@ def test_mjcf_is_one_file_that_stands_on_its_floor_and_holds_a_marble(tmp_path):
     data = mujoco.MjData(model)
     for _ in range(500):
         mujoco.mj_step(model, data)
-    assert data.body("object").xpos[2] == pytest.approx(0, abs=1e-3)
+    np.testing.assert_allclose(data.body("object").xpos, (0.3, -0.2, 0.5), atol=1e-3)
     assert data.body("object").xmat[8] > 0.9999
     assert data.body("marble").xpos[2] == pytest.approx(0.5 + 0.004 + 0.01, abs=1e-3)
 
@@ -231,8 +234,10 @@ def test_floor_and_gravity_follow_up(tmp_path):
     data = mujoco.MjData(model)
     for _ in range(300):
         mujoco.mj_step(model, data)
-    np.testing.assert_allclose(data.body("object").xpos, 0, atol=1e-3)
-    np.testing.assert_allclose(data.body("object").xmat.reshape(3, 3), np.eye(3), atol=0.01)
+    np.testing.assert_allclose(data.body("object").xpos, (0.3, -0.5, -0.2), atol=1e-3)
+    np.testing.assert_allclose(data.body("object").xmat.reshape(3, 3)[:, 2], (0, -1, 0), atol=0.01)
+    moved = data.body("object").xmat.reshape(3, 3) @ place_of(model.body("object"))[:3, :3].T
+    np.testing.assert_allclose(moved, np.eye(3), atol=0.01)
 
 
 def test_up_without_length_is_refused(tmp_path):
@@ -275,6 +280,18 @@ def test_mass_of_a_spherical_shell_is_known():
     np.testing.assert_allclose(found.inertia, np.eye(3) * 2 / 3 * mass * 0.1**2, rtol=1e-2, atol=1e-7)
 
 
+def matrix_of(quat_wxyz: ArrayLike) -> np.ndarray:
+    """(3, 3) rotation of MuJoCo's quaternion."""
+    R = np.zeros(9)
+    mujoco.mju_quat2Mat(R, np.asarray(quat_wxyz, dtype=float))
+    return R.reshape(3, 3)
+
+
+def place_of(body: Any) -> np.ndarray:
+    """T_world_body (4, 4) of a body of the compiled model, at its start."""
+    return make_T(matrix_of(body.quat), body.pos)
+
+
 def askew() -> tuple[trimesh.Trimesh, list[ConvexPart]]:
     """An L of two boxes, turned about a generic axis and off the origin: no product of inertia is zero."""
     boxes = [
@@ -293,16 +310,14 @@ def test_mjcf_and_urdf_hold_the_whole_tensor_of_inertia(tmp_path):
     wanted = 700 * mesh.moment_inertia
     assert np.abs(wanted[~np.eye(3, dtype=bool)]).min() > 1e-6
     for suffix in (".xml", ".urdf"):
-        path = export_completion(mesh, parts, tmp_path / f"l{suffix}", name="l", density=700.0)
+        path = export_completion(mesh, parts, tmp_path / f"l{suffix}", name="l", density=700.0, up=(1, -2, 2))
         spec = mujoco.MjSpec.from_file(str(path))
         if suffix == ".urdf":  # or the body is welded to the world and has none of its own
             spec.body("l").add_freejoint()
         body = spec.compile().body("l")
-        R = np.zeros(9)
-        mujoco.mju_quat2Mat(R, body.iquat)
-        R = R.reshape(3, 3)
+        R = place_of(body)[:3, :3] @ matrix_of(body.iquat)
         np.testing.assert_allclose(R @ np.diag(body.inertia) @ R.T, wanted, atol=1e-8)
-        np.testing.assert_allclose(body.ipos, mesh.center_mass, atol=1e-8)
+        np.testing.assert_allclose(apply_T(place_of(body), body.ipos), mesh.center_mass, atol=1e-8)
         assert body.mass[0] == pytest.approx(700 * mesh.volume)
 
 
@@ -342,9 +357,7 @@ def test_the_floor_lies_below_the_lowest_part_and_the_lowest_vertex(tmp_path):
         path = export_completion(mesh, moved, tmp_path / "l.xml", up=3 * up)
         model = mujoco.MjModel.from_xml_path(str(path))
         np.testing.assert_allclose(model.geom("floor").pos, lowest * up, atol=1e-7)
-        R = np.zeros(9)
-        mujoco.mju_quat2Mat(R, model.geom("floor").quat)
-        np.testing.assert_allclose(R.reshape(3, 3)[:, 2], up, atol=1e-7)
+        np.testing.assert_allclose(matrix_of(model.geom("floor").quat)[:, 2], up, atol=1e-7)
         np.testing.assert_allclose(model.opt.gravity, -9.81 * up, atol=1e-7)
 
 
@@ -379,11 +392,15 @@ def test_geoms_of_the_file_lie_where_the_parts_do(tmp_path):
 
 def test_numbers_are_written_to_nine_digits(tmp_path):
     mesh, parts = askew()
-    root = ElementTree.parse(export_completion(mesh, parts, tmp_path / "l.xml")).getroot()
-    visual = root.find("asset/mesh")
+    root = ElementTree.parse(export_completion(mesh, parts, tmp_path / "l.xml", up=(1, -2, 2))).getroot()
+    visual, body = root.find("asset/mesh"), root.find("worldbody/body")
     assert visual is not None
+    assert body is not None
     written = np.array([float(x) for x in visual.attrib["vertex"].split()]).reshape(-1, 3)
-    np.testing.assert_allclose(written, mesh.vertices, rtol=1e-8, atol=1e-15)
+    T_world_body = foot_pose(mesh, parts, np.array([1.0, -2.0, 2.0]) / 3)
+    np.testing.assert_allclose(written, apply_T(invert_T(T_world_body), mesh.vertices), rtol=1e-8, atol=1e-15)
+    place, quat = ([float(x) for x in body.attrib[key].split()] for key in ("pos", "quat"))
+    np.testing.assert_allclose(apply_T(make_T(matrix_of(quat), place), written), mesh.vertices, rtol=0, atol=1e-9)
 
 
 @pytest.mark.parametrize(

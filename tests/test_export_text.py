@@ -1,5 +1,6 @@
 """Every word of the files that are written of a known body."""
 
+from dataclasses import replace
 from inspect import signature
 from pathlib import Path
 
@@ -17,7 +18,10 @@ WEDGE = trimesh.Trimesh(
 )
 LOWER = trimesh.Trimesh(WEDGE.vertices - [0, 0, 0.1], WEDGE.faces, process=False)
 INERTIA = np.array([[0.11, 0.12, 0.13], [0.12, 0.22, 0.23], [0.13, 0.23, 0.33]])
-BODY = Body("jug", WEDGE, (LOWER, WEDGE), MassProperties(1.5, np.array([0.1, 0.2, 0.3]), INERTIA))
+WEIGHT = MassProperties(1.5, np.array([0.1, 0.2, 0.3]), INERTIA)
+# Its x lies along y, its y along z, its z along x.
+PLACE = np.array([[0.0, 0, 1, 1], [1, 0, 0, 2], [0, 1, 0, 3], [0, 0, 0, 1]])
+BODY = Body("jug", WEDGE, (LOWER, WEDGE), WEIGHT, PLACE)
 UP = np.array([0.6, 0.0, 0.8])
 
 MJCF = """<?xml version='1.0' encoding='utf-8'?>
@@ -29,15 +33,15 @@ MJCF = """<?xml version='1.0' encoding='utf-8'?>
     <mesh name="jug_hull_001" {second} />
   </asset>
   <worldbody>
-    <light pos="2.7 0.2 3.35" dir="-0.6 -0 -0.8" type="directional" />
-    <geom name="floor" type="plane" size="0 0 0.05" pos="-0.048 -0 -0.064" zaxis="0.6 0 0.8" rgba="0.8 0.8 0.82 1" />
-    <body name="jug">
+    <light pos="3.5 2.3 6.4" dir="-0.6 -0 -0.8" type="directional" />
+    <geom name="floor" type="plane" size="0 0 0.05" pos="{floor}" zaxis="0.6 0 0.8" rgba="0.8 0.8 0.82 1" />
+    <body name="jug" pos="1 2 3" quat="0.5 0.5 0.5 0.5">
       <freejoint name="jug_free" />
       <inertial pos="0.1 0.2 0.3" mass="1.5" fullinertia="0.11 0.22 0.33 0.12 0.13 0.23" />
       <geom name="jug_visual" type="mesh" mesh="jug_visual" mass="0" contype="0" conaffinity="0" group="2" \
 rgba="0.55 0.65 0.8 1" />
-      <geom name="jug_hull_000" type="mesh" mesh="jug_hull_000" group="3" mass="0" />
-      <geom name="jug_hull_001" type="mesh" mesh="jug_hull_001" group="3" mass="0" />
+      <geom name="jug_hull_000" type="mesh" mesh="jug_hull_000" group="3" mass="0"{contact} />
+      <geom name="jug_hull_001" type="mesh" mesh="jug_hull_001" group="3" mass="0"{contact} />
     </body>
   </worldbody>
 </mujoco>"""
@@ -78,20 +82,25 @@ URDF = """<?xml version='1.0' encoding='utf-8'?>
 </robot>"""
 
 
+@pytest.mark.parametrize("contact", [False, True])
 @pytest.mark.parametrize("in_files", [False, True])
-def test_mjcf_of_a_leaning_floor_word_by_word(tmp_path: Path, in_files: bool) -> None:
+@pytest.mark.parametrize(("floor_m", "floor"), [(None, "1.764 0 2.352"), (-0.5, "-0.3 -0 -0.4")])
+def test_mjcf_of_a_leaning_floor_word_by_word(
+    tmp_path: Path, in_files: bool, contact: bool, floor_m: float | None, floor: str
+) -> None:
     path = tmp_path / "jug.xml"
-    write_mjcf(BODY, path, up=UP, in_files=in_files)
+    write_mjcf([BODY], path, up=UP, in_files=in_files, contact=contact, floor_m=floor_m)
     sources = {"visual": SOLID, "first": SUNK, "second": SOLID}
     if in_files:
         names = {"visual": "visual", "first": "hull_000", "second": "hull_001"}
         sources = {key: f'file="jug_meshes/{name}.obj"' for key, name in names.items()}
-    assert path.read_text(encoding="utf-8") == MJCF.format(**sources)
+    sources["contact"] = ' solref="0.004 1" priority="1"' if contact else ""
+    assert path.read_text(encoding="utf-8") == MJCF.format(**sources, floor=floor)
     assert (tmp_path / "jug_meshes").is_dir() == in_files
 
 
 def test_urdf_word_by_word(tmp_path: Path) -> None:
-    write_urdf(BODY, tmp_path / "jug.urdf")
+    write_urdf([BODY], tmp_path / "jug.urdf")
     assert (tmp_path / "jug.urdf").read_text(encoding="utf-8") == URDF
     lines = (tmp_path / "jug_meshes" / "hull_000.obj").read_text().split("\n")
     assert [line for line in lines if line] == [
@@ -107,8 +116,16 @@ def test_parts_of_an_earlier_export_go_and_what_was_not_exported_stays(tmp_path:
     kept = ("hull_17.obj", "hull_abc.obj", "hull_007.obj.bak", "other.obj")
     for name in (*gone, *kept):
         (folder / name).write_text("old")
-    one = Body("jug", WEDGE, (LOWER,), BODY.weight)
-    assert write_meshes(one, tmp_path / "jug.urdf") == ["jug_meshes/visual.obj", "jug_meshes/hull_000.obj"]
+    one = Body("jug", WEDGE, (LOWER,), WEIGHT)
+    assert write_meshes([one], tmp_path / "jug.urdf") == [["jug_meshes/visual.obj", "jug_meshes/hull_000.obj"]]
+    assert sorted(path.name for path in folder.iterdir()) == sorted([*kept, "visual.obj", "hull_000.obj"])
+    two = write_meshes([one, replace(BODY, name="cup.2")], tmp_path / "jug.urdf")
+    stems = [["jug_visual", "jug_hull_000"], ["cup.2_visual", "cup.2_hull_000", "cup.2_hull_001"]]
+    assert two == [[f"jug_meshes/{stem}.obj" for stem in own] for own in stems]
+    assert sorted(path.name for path in folder.iterdir()) == sorted(
+        [*kept, *(f"{s}.obj" for own in stems for s in own)]
+    )
+    write_meshes([one], tmp_path / "jug.urdf")
     assert sorted(path.name for path in folder.iterdir()) == sorted([*kept, "visual.obj", "hull_000.obj"])
 
 
@@ -149,6 +166,7 @@ def test_without_a_density_bodies_are_as_heavy_as_water() -> None:
         "colors": None,
         "up": (0.0, 0.0, 1.0),
         "assets": "embedded",
+        "contact": True,
     }
 
 

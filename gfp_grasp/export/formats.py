@@ -253,20 +253,23 @@ def _embedded(shape: Part) -> dict[str, str]:
     return {"vertex": to_text(shape.vertices), "face": to_text(shape.faces)}
 
 
-def write_urdf(bodies: Sequence[Body], path: Path) -> None:
-    """Write a robot of one link, or of one link an object, each on a floating joint of the world's.
+def write_urdf(bodies: Sequence[Body], path: Path, *, in_world: bool = False) -> None:
+    """Write a robot with a link for each object. URDF knows neither gravity nor embedded meshes.
 
-    URDF knows neither gravity nor embedded meshes.
+    Args:
+        bodies: What is written, at least one; only one where they are not in the world.
+        path: The .urdf file; its stem names the robot of several objects.
+        in_world: There is a link "world", and each object has its place on a floating joint of it.
     """
     root = ElementTree.Element("robot", name=bodies[0].name if len(bodies) == 1 else path.stem)
     # MuJoCo's reader else looks for the files without their folder and drops the visual; other readers ignore this.
     extension = ElementTree.SubElement(root, "mujoco")
     ElementTree.SubElement(extension, "compiler", strippath="false", discardvisual="false")
-    if len(bodies) > 1:
+    if in_world:
         ElementTree.SubElement(root, "link", name="world")
     for body, files in zip(bodies, write_meshes(bodies, path), strict=True):
         _add_link(root, body, files)
-        if len(bodies) > 1:
+        if in_world:
             joint = ElementTree.SubElement(root, "joint", name=f"{body.name}_free", type="floating")
             ElementTree.SubElement(joint, "parent", link="world")
             ElementTree.SubElement(joint, "child", link=body.name)

@@ -125,7 +125,8 @@ def export_bodies(
         raise InvalidOption(f"the bodies are {names}; at least one is expected, and each with a name of its own")
     path.parent.mkdir(parents=True, exist_ok=True)
     if path.suffix.lower() == ".urdf":
-        write_urdf([_turned(body, rotation_between(up, (0.0, 0.0, 1.0))) for body in bodies], path)
+        turned = [_turned(body, rotation_between(up, (0.0, 0.0, 1.0))) for body in bodies]
+        write_urdf(turned, path, in_world=True)
     elif in_parts:
         write_mjcf(bodies, path, up=up, floor_m=floor_m, in_files=assets == "files", contact=contact)
     else:
