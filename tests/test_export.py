@@ -3,14 +3,13 @@
 
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
-from typing import Any
 
 import mujoco
 import numpy as np
 import pytest
 import trimesh
 import yourdfpy
-from numpy.typing import ArrayLike
+from compiled import bounds_of, matrix_of, pose_of
 
 from gfp_grasp.errors import InvalidMesh, InvalidOption
 from gfp_grasp.export import SUFFIXES, export_completion, foot_pose, legal_name, mass_properties, needs_parts
@@ -63,7 +62,7 @@ def test_mjcf_compiles_with_mass_centre_and_inertia_of_the_walls(tmp_path):
     assert model.body_mass.sum() == pytest.approx(700 * mesh.volume, rel=1e-6)
     body = model.body("cup")
     np.testing.assert_allclose(body.pos, (0.3, -0.2, 0.5), atol=1e-8)
-    np.testing.assert_allclose(apply_T(place_of(body), body.ipos), mesh.center_mass, atol=1e-7)
+    np.testing.assert_allclose(apply_T(pose_of(body), body.ipos), mesh.center_mass, atol=1e-7)
     expected = np.sort(np.linalg.eigvalsh(mesh.moment_inertia)) * 700
     np.testing.assert_allclose(np.sort(body.inertia), expected, rtol=1e-5)
 
@@ -236,7 +235,7 @@ def test_floor_and_gravity_follow_up(tmp_path):
         mujoco.mj_step(model, data)
     np.testing.assert_allclose(data.body("object").xpos, (0.3, -0.5, -0.2), atol=1e-3)
     np.testing.assert_allclose(data.body("object").xmat.reshape(3, 3)[:, 2], (0, -1, 0), atol=0.01)
-    moved = data.body("object").xmat.reshape(3, 3) @ place_of(model.body("object"))[:3, :3].T
+    moved = data.body("object").xmat.reshape(3, 3) @ pose_of(model.body("object"))[:3, :3].T
     np.testing.assert_allclose(moved, np.eye(3), atol=0.01)
 
 
@@ -280,18 +279,6 @@ def test_mass_of_a_spherical_shell_is_known():
     np.testing.assert_allclose(found.inertia, np.eye(3) * 2 / 3 * mass * 0.1**2, rtol=1e-2, atol=1e-7)
 
 
-def matrix_of(quat_wxyz: ArrayLike) -> np.ndarray:
-    """(3, 3) rotation of MuJoCo's quaternion."""
-    R = np.zeros(9)
-    mujoco.mju_quat2Mat(R, np.asarray(quat_wxyz, dtype=float))
-    return R.reshape(3, 3)
-
-
-def place_of(body: Any) -> np.ndarray:
-    """T_world_body (4, 4) of a body of the compiled model, at its start."""
-    return make_T(matrix_of(body.quat), body.pos)
-
-
 def askew() -> tuple[trimesh.Trimesh, list[ConvexPart]]:
     """An L of two boxes, turned about a generic axis and off the origin: no product of inertia is zero."""
     boxes = [
@@ -315,9 +302,9 @@ def test_mjcf_and_urdf_hold_the_whole_tensor_of_inertia(tmp_path):
         if suffix == ".urdf":  # or the body is welded to the world and has none of its own
             spec.body("l").add_freejoint()
         body = spec.compile().body("l")
-        R = place_of(body)[:3, :3] @ matrix_of(body.iquat)
+        R = pose_of(body)[:3, :3] @ matrix_of(body.iquat)
         np.testing.assert_allclose(R @ np.diag(body.inertia) @ R.T, wanted, atol=1e-8)
-        np.testing.assert_allclose(apply_T(place_of(body), body.ipos), mesh.center_mass, atol=1e-8)
+        np.testing.assert_allclose(apply_T(pose_of(body), body.ipos), mesh.center_mass, atol=1e-8)
         assert body.mass[0] == pytest.approx(700 * mesh.volume)
 
 
@@ -377,15 +364,9 @@ def test_geoms_of_the_file_lie_where_the_parts_do(tmp_path):
     for assets in ("embedded", "files"):
         path = export_completion(mesh, parts, tmp_path / assets / "l.xml", name="l", assets=assets)
         model = mujoco.MjModel.from_xml_path(str(path))
-        data = mujoco.MjData(model)
-        mujoco.mj_forward(model, data)
         for name, shape in (("l_visual", mesh), ("l_hull_000", parts[0]), ("l_hull_001", parts[1])):
-            geom = model.geom(name)
-            start, count = model.mesh_vertadr[geom.dataid[0]], model.mesh_vertnum[geom.dataid[0]]
-            local = model.mesh_vert[start : start + count]
-            world = local @ data.geom(name).xmat.reshape(3, 3).T + data.geom(name).xpos
-            np.testing.assert_allclose(world.min(axis=0), np.min(shape.vertices, axis=0), atol=1e-6)
-            np.testing.assert_allclose(world.max(axis=0), np.max(shape.vertices, axis=0), atol=1e-6)
+            corners = [np.min(shape.vertices, axis=0), np.max(shape.vertices, axis=0)]
+            np.testing.assert_allclose(bounds_of(model, name), corners, atol=1e-6)
         assert model.geom("l_visual").group[0] == 2
         assert model.geom("l_hull_000").group[0] == 3
 
