@@ -14,6 +14,7 @@ from sklearn.cluster import DBSCAN
 
 from gfp_grasp.clouds import voxel_grid
 from gfp_grasp.detect.merging import merge_pieces
+from gfp_grasp.detect.tables import noise_growth
 from gfp_grasp.types import TABLETOP, SensorProfile, SupportPlane
 
 ARM = 10.0  # half a chord, in multiples of the noise: well above it, and below the radius of what is to stay whole
@@ -103,6 +104,10 @@ _MAX_CONCAVITY = 0.2  # dip of the surface under a chord, over the chord's lengt
 # has 0.5, the inside of a cup 0.1 (see concavity)
 _MIN_AREA = 3.56  # surface of the smallest object that counts, in squares of the sensor's smallest
 _MAX_WIDTH = 0.4  # wider clusters are walls or furniture, not objects; in the sensor's largest
+_COARSE = 1.05  # from this noise on, in the sensor's own, an object must rise higher than what belongs to it:
+_LEAST_HEIGHT = 6.0  # in multiples of the noise there;
+_FILM = 14.0  # what is lower than this
+_SOLID = 0.7  # and has less than this share of its pixels in squares of five is noise
 _MIN_PIECE_PX = 25  # fewer pixels or voxels are flying ones
 _CREASE_PX = 4  # a crease's ends stop short of the silhouette, where chords break
 _NEIGHBOURS = 4  # on that grid, that an inner point of a surface has
@@ -149,7 +154,8 @@ def label_picture(
     pieces = _give_back(_connected_pixels(above & ~crease, depth, jump), above, points, _NEAR * sensor.sigma_m)
     rest = _connected_pixels(above & (pieces == 0), depth, jump)  # wide creases, as round the floor of a cup
     pieces = np.where(rest > 0, rest + pieces.max(), pieces)
-    labels[rows, columns] = _objects(pieces, points, support, (depth / focal_px) ** 2, sensor)
+    area_m2 = (depth / focal_px) ** 2
+    labels[rows, columns] = _objects(pieces, points, support, area_m2, sensor, coarser=noise_growth(depth))
     return labels
 
 
@@ -221,19 +227,44 @@ def _objects(
     area_m2: np.ndarray,
     sensor: SensorProfile,
     *,
+    coarser: np.ndarray | None = None,
     drop: bool = True,
 ) -> np.ndarray:
-    """Pieces merged into objects, too small and too wide ones dropped, renumbered by size; shape of `pieces`."""
+    """Pieces merged into objects, renumbered by size; shape of `pieces`.
+
+    Too small, too wide and too flat ones are dropped; what is too flat grows with the noise there, `coarser` times that
+    of the sensor.
+    """
     group = merge_pieces(pieces, points, support, area_m2, sensor=sensor)
     merged = group[pieces]
     chosen = merged > 0
     area = np.bincount(merged[chosen], area_m2[chosen], minlength=group.max() + 1)
     keep = area >= (_MIN_AREA * sensor.smallest_m**2 if drop else 1e-12)
     for k in np.flatnonzero(keep) if drop else ():
-        low, high = np.percentile(points[merged == k], (2, 98), axis=0)
-        keep[k] = float((high - low).max()) <= _MAX_WIDTH * sensor.largest_m
+        own = merged == k
+        noise_m = sensor.sigma_m * (1.0 if coarser is None else float(np.median(coarser[own])))
+        keep[k] = _is_object(own, points, support, noise_m, sensor)
     order = np.argsort(-np.bincount(merged[chosen], minlength=group.max() + 1), kind="stable")
     number = np.zeros(len(keep), dtype=np.int32)
     kept = [k for k in order if keep[k]]
     number[kept] = np.arange(1, len(kept) + 1)
     return number[merged]
+
+
+def _is_object(
+    own: np.ndarray, points: np.ndarray, support: SupportPlane, noise_m: float, sensor: SensorProfile
+) -> bool:
+    """Whether own pixels, or points, are neither as wide as furniture nor a film that noise leaves on the support."""
+    mine = points[own]
+    low, high = np.percentile(mine, (2, 98), axis=0)
+    if float((high - low).max()) > _MAX_WIDTH * sensor.largest_m:
+        return False
+    height_m = float(np.percentile(support.distances(mine), 98))
+    least_m = _LEAST_HEIGHT * noise_m if noise_m > _COARSE * sensor.sigma_m else _FLOOR * sensor.sigma_m
+    if height_m < least_m:
+        return False
+    if own.ndim < 2 or height_m > _FILM * noise_m:
+        return True
+    window = tuple(slice(a.min(), a.max() + 1) for a in np.nonzero(own))
+    solid = ndimage.binary_opening(np.pad(own[window], 2), np.ones((5, 5)))
+    return bool(solid.sum() > _SOLID * own.sum())

@@ -14,14 +14,15 @@ from gfp_grasp.clouds import local_axes
 from gfp_grasp.detect.clusters import label_picture, label_points
 from gfp_grasp.detect.merging import upright_box
 from gfp_grasp.detect.support import find_support
+from gfp_grasp.detect.tables import find_table
 from gfp_grasp.errors import InvalidOption, NothingDetected, UnknownDetector
 from gfp_grasp.parallel import one_thread
 from gfp_grasp.plugins import imported_function
-from gfp_grasp.transforms import apply_T, invert_T
 from gfp_grasp.types import TABLETOP, DepthImage, Detection, PointCloud, SensorProfile, SupportPlane, View
 
 UP = np.array([0.0, 0.0, 1.0])
 
+_LEAST_ON_TABLE = 0.3  # of an object's pixels
 _NEIGHBOURS = 16  # points of the small planes that noise is read off,
 _SAMPLE = 400  # and the number of these planes
 
@@ -67,17 +68,9 @@ def detect_objects(
 
 
 def picture_support(image: DepthImage, up: np.ndarray | None, config: DetectConfig) -> SupportPlane | None:
-    """Support plane of a depth picture, world frame; the camera's own axes are tried where up is None."""
-    points = image.points()
-    points = points[np.isfinite(points).all(axis=2)]
-    eye = image.T_world_camera[:3, 3]
-    if up is not None:
-        return find_support(points, up, viewpoint=eye, sensor=config.sensor)
-    seen = find_support(apply_T(invert_T(image.T_world_camera), points), None, sensor=config.sensor)
-    if seen is None:
-        return None
-    normal = image.T_world_camera[:3, :3] @ seen.normal
-    return SupportPlane(normal, seen.height_m + float(normal @ eye))
+    """Plane of a depth picture that things stand on, world frame; see `find_table`."""
+    table = find_table(image, up, sensor=config.sensor).best
+    return None if table is None else table.plane
 
 
 def make_detection(
@@ -122,14 +115,19 @@ def make_detection(
 
 
 def _detect_in_picture(image: DepthImage, up: np.ndarray | None, config: DetectConfig) -> tuple[Detection, ...]:
-    support = picture_support(image, up, config)
-    if support is None:
+    seen = find_table(image, up, sensor=config.sensor)
+    if seen.best is None:
         raise NothingDetected(
-            "no support plane in the depth picture: is a table in view, and is `up` its normal in the world frame "
-            "(up=None tries the camera's axes)? A picture of one object alone goes to complete_to_mesh as a cloud"
+            f"no support plane in the depth picture: of its {seen.num_planes} planes there is nothing on any that is "
+            "as small as an object. Is a table in view, and is `up` its normal in the world frame (up=None takes any "
+            "plane that the camera looks down on)? A picture of one object alone goes to complete_to_mesh as a cloud"
         )
-    points, eye = image.points(), image.viewpoint
+    table, points, eye = seen.best, image.points(), image.viewpoint
+    support = table.plane
+    beyond_m = table.beyond_m(np.nan_to_num(points))
+    points[beyond_m > table.reach_m] = np.nan
     labels = label_picture(points, support, eye, float(image.K[0, 0]), sensor=config.sensor)
+    labels = _renumbered(labels, beyond_m <= table.margin_m)
     if not labels.any():
         raise NothingDetected("a support plane, but nothing on it that is large enough for an object")
     return tuple(
@@ -145,6 +143,14 @@ def _detect_in_picture(image: DepthImage, up: np.ndarray | None, config: DetectC
         )
         for k in range(1, int(labels.max()) + 1)
     )
+
+
+def _renumbered(labels: np.ndarray, on_table: np.ndarray) -> np.ndarray:
+    """Labels (h, w) of those objects most of whose pixels are on the table; the others are walls and chairs beside."""
+    total = np.bincount(labels.ravel())
+    keep = np.bincount(labels[on_table], minlength=len(total)) >= _LEAST_ON_TABLE * total
+    keep[0] = False
+    return np.where(keep, np.cumsum(keep), 0)[labels]
 
 
 def _detect_in_points(cloud: PointCloud, up: np.ndarray | None, config: DetectConfig) -> tuple[Detection, ...]:

@@ -113,7 +113,8 @@ def merge_pieces(
     waiting = sorted(known, key=lambda k: known[k].area_m2)
     while waiting:
         k = waiting.pop(0)
-        others = sorted((_gap(known[k], known[m]), m) for m in known if m != k)
+        near = [m for m in known if m != k and _box_gap_m(known[k], known[m]) <= _RIM_GAP * sensor.sigma_m]
+        others = sorted((_gap(known[k], known[m]), m) for m in near)
         owner = next((m for gap, m in others if _belongs(known[k], known[m], gap, sensor)), None)
         if owner is None:
             continue
@@ -172,6 +173,12 @@ def _piece(points: np.ndarray, support: SupportPlane, area_m2: float) -> _Piece:
     low, high = np.percentile(support.distances(points), (2, 98))
     ground = points @ rotation_between(support.normal, (0.0, 0.0, 1.0))[:2].T
     return _Piece(points, ground, float(low), float(high), area_m2)
+
+
+def _box_gap_m(a: _Piece, b: _Piece) -> float:
+    """Gap between the boxes of two pieces along the axes, m: no point of one is nearer to the other."""
+    apart = np.maximum(a.points.min(axis=0) - b.points.max(axis=0), b.points.min(axis=0) - a.points.max(axis=0))
+    return float(np.linalg.norm(np.maximum(apart, 0.0)))
 
 
 def _gap(a: _Piece, b: _Piece) -> float:
