@@ -20,9 +20,11 @@ _ALLOWED_M = 0.0005  # that two surfaces may overlap by
 _CLEARANCE_M = 0.0001  # that is left between them
 _NEAR_M = 0.02  # convex parts reach so far beyond the surface that they stand for
 _SEEN_WEIGHT = 1000.0  # of a seen vertex against a guessed one
-_MOST_SEEN_M = 0.01  # that a seen surface is moved by; one thing in another is left as it is
+_MOST_SEEN_M = 0.01  # that a seen surface is moved by, or the overlap: one thing in another is left as it is
 _SAME_NORMAL = 5  # digits to which the faces of a hull are one side of it
 _LEVEL = 0.9  # cosine between up and the normal of a plane that things stand on
+_LEANING = 0.6  # cosine from which on a plane is rather level than upright
+_MUCH_BETTER = 9.0  # times less cut off, as a sum of squares
 
 
 @dataclass(frozen=True)
@@ -86,7 +88,7 @@ def make_way(shapes: Sequence[CompletedShape], *, up: np.ndarray, floor_m: float
         if depth_m <= _ALLOWED_M and max(step.max() for step in steps) > _CLEARANCE_M:
             continue  # one reaches round the other
         seen_m = [float(step[shapes[k].observed].max(initial=0.0)) for step, (k, *_) in zip(steps, sides, strict=True)]
-        if max(seen_m) > _MOST_SEEN_M:
+        if max(seen_m) > max(_MOST_SEEN_M, depth_m):
             given.append(GaveWay(a, b, depth_m, 0.0, moved=False))
             continue
         for step, seen, (k, other, n, d) in zip(steps, seen_m, sides, strict=True):
@@ -138,10 +140,15 @@ def _parting_plane(
 ) -> tuple[np.ndarray, float]:
     """Unit normal (3,) and offset of a plane, a below it and b above, that cuts off little of what was seen."""
     weights = [np.where(seen, _SEEN_WEIGHT, 1.0) / len(seen) for seen in (seen_a, seen_b)]
-    best, least = _least_cut(a, b, weights, np.vstack([up, -up, _sides(a), -_sides(b)]))
-    if least > 0.0:
-        other, cut = _least_cut(a, b, weights, _between(a, b, weights))
-        best = other if cut < least else best
+    best, least = _least_cut(a, b, weights, np.vstack([up, -up]))
+    sides = np.vstack([_sides(a), -_sides(b), *([_between(a, b, weights)] if least > 0.0 else [])])
+    leaning = np.abs(sides @ up) > _LEANING
+    # What stands on another stands on a level plane, unless a leaning one is much better.
+    for normals, factor in ((sides[~leaning], 1.0), (sides[leaning], _MUCH_BETTER)):
+        if least > 0.0 and len(normals):
+            other, cut = _least_cut(a, b, weights, normals)
+            if factor * cut < least:
+                best, least = other, factor * cut
     return best
 
 

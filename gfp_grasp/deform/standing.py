@@ -14,7 +14,7 @@ from gfp_grasp.types import LevelView
 
 # Multiples of the sensor's noise: what is this near to the support stands on it,
 _FOOT = 1 / 3
-_SUPPORT_REACHED = 20 / 3  # and an object whose lowest point is this far above the support that was seen is not on it.
+_SUPPORT_REACHED = 20.0  # and an object whose lowest point is this far above the support that was seen is not on it.
 _LEAST_MARGIN = 1.0  # of the centre of mass within the outline of the feet
 _FACES_DOWN = -0.3  # z of the normal of a vertex that can be stood on
 _LEAST_BOTTOM = 0.25  # what faces up stays so far above the support, a share of the foot
