@@ -8,19 +8,21 @@ from itertools import combinations
 
 import numpy as np
 import trimesh
-from scipy.spatial import ConvexHull, KDTree
+from scipy.spatial import ConvexHull, KDTree, QhullError
 from sklearn.svm import LinearSVC
 
-from gfp_grasp.deform import stand_on
+from gfp_grasp.deform import stand_on, stood_on_m
 from gfp_grasp.meshes import vertex_normals
 from gfp_grasp.transforms import rotation_between
 from gfp_grasp.types import CompletedShape
 
 _ALLOWED_M = 0.0005  # that two surfaces may overlap by
 _CLEARANCE_M = 0.0001  # that is left between them
+_WITHIN_M = 0.001  # so far within one surface is within the other, too, where two lie in the same place
 _NEAR_M = 0.02  # convex parts reach so far beyond the surface that they stand for
 _SEEN_WEIGHT = 1000.0  # of a seen vertex against a guessed one
 _MOST_SEEN_M = 0.01  # that a seen surface is moved by, or the overlap: one thing in another is left as it is
+_MOST_SHARE = 0.5  # of an object's extent across the plane that is cut off: more would crush one thing within another
 _SAME_NORMAL = 5  # digits to which the faces of a hull are one side of it
 _LEVEL = 0.9  # cosine between up and the normal of a plane that things stand on
 _LEANING = 0.6  # cosine from which on a plane is rather level than upright
@@ -66,7 +68,8 @@ def make_way(shapes: Sequence[CompletedShape], *, up: np.ndarray, floor_m: float
 
     Two that overlap are parted by a plane, one side of either hull or one between the two, that moves least of what was
     seen, and after it least of the rest; whatever lies beyond it is put into it. What is cut off from above stands on
-    the plane then, as on a floor. Meshes keep their connectivity.
+    the plane then, as on a floor. Where that would move what was seen by more than 10 mm and more than they overlap, or leave
+    less than half of an object across the plane, as of one thing within another, both stay. Meshes keep their connectivity.
 
     Args:
         shapes: Completed shapes.
@@ -88,7 +91,10 @@ def make_way(shapes: Sequence[CompletedShape], *, up: np.ndarray, floor_m: float
         if depth_m <= _ALLOWED_M and max(step.max() for step in steps) > _CLEARANCE_M:
             continue  # one reaches round the other
         seen_m = [float(step[shapes[k].observed].max(initial=0.0)) for step, (k, *_) in zip(steps, sides, strict=True)]
-        if max(seen_m) > max(_MOST_SEEN_M, depth_m):
+        crushed = any(
+            step.max() > _MOST_SHARE * np.ptp(vertices[k] @ n) for step, (k, _, n, _) in zip(steps, sides, strict=True)
+        )
+        if crushed or max(seen_m) > max(_MOST_SEEN_M, depth_m):
             given.append(GaveWay(a, b, depth_m, 0.0, moved=False))
             continue
         for step, seen, (k, other, n, d) in zip(steps, seen_m, sides, strict=True):
@@ -103,8 +109,9 @@ def make_way(shapes: Sequence[CompletedShape], *, up: np.ndarray, floor_m: float
         level = rotation_between((0.0, 0.0, 1.0), up)
         height_m = floors.get(k, floor_m)
         if height_m is not None:
-            faces = shapes[k].mesh.faces
-            vertices[k] = stand_on(vertices[k] @ level, faces, height_m, sigma_m=sigma_m, turn=False) @ level.T
+            own, faces = vertices[k] @ level, shapes[k].mesh.faces
+            height_m = stood_on_m(own, height_m, sigma_m)  # another object may carry it
+            vertices[k] = stand_on(own, faces, height_m, sigma_m=sigma_m, turn=False) @ level.T
     return Apart(
         [_with_vertices(s, vertices[k]) if k in changed else s for k, s in enumerate(shapes)],
         [np.array(own).reshape(-1, 4) for own in bounds],
@@ -118,11 +125,12 @@ def _near(a: np.ndarray, b: np.ndarray) -> bool:
 
 
 def _overlap_m(a: np.ndarray, faces_a: np.ndarray, b: np.ndarray, faces_b: np.ndarray) -> float:
-    """How deep a vertex of either closed surface lies within the other, m; 0 where none does."""
+    """How deep a vertex of either closed surface, or what lies a little within it, is in the other, m; 0 if none is."""
     low, high = np.maximum(a.min(axis=0), b.min(axis=0)), np.minimum(a.max(axis=0), b.max(axis=0))
     if (high - low).min() <= 0:
         return 0.0
-    return max(_depth_m(a, b, faces_b, low, high), _depth_m(b, a, faces_a, low, high))
+    deep_a, deep_b = (np.vstack([v, v - _WITHIN_M * vertex_normals(v, f)]) for v, f in ((a, faces_a), (b, faces_b)))
+    return max(_depth_m(deep_a, b, faces_b, low, high), _depth_m(deep_b, a, faces_a, low, high))
 
 
 def _depth_m(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray, low: np.ndarray, high: np.ndarray) -> float:
@@ -170,18 +178,22 @@ def _least_cut(
 
 
 def _sides(points: np.ndarray) -> np.ndarray:
-    """Outward unit normals (n, 3) of the hull of points."""
-    return np.unique(ConvexHull(points).equations[:, :3].round(_SAME_NORMAL), axis=0)
+    """Outward unit normals (n, 3) of the hull of points; none where they are flat."""
+    try:
+        return np.unique(ConvexHull(points).equations[:, :3].round(_SAME_NORMAL), axis=0)
+    except QhullError:  # flat
+        return np.empty((0, 3))
 
 
 def _between(a: np.ndarray, b: np.ndarray, weights: list[np.ndarray]) -> np.ndarray:
-    """Unit normal (1, 3) of the plane that a linear classifier lays between two sets of points."""
+    """Unit normal (1, 3) of the plane that a linear classifier lays between two sets of points, or none (0, 3)."""
     points = np.vstack([a, b])
     size = float(points.std())
     labels = np.repeat([0, 1], [len(a), len(b)])
     machine = LinearSVC(dual="auto", C=1e3, random_state=0)
     normal = machine.fit((points - points.mean(axis=0)) / size, labels, sample_weight=np.concatenate(weights)).coef_
-    return normal / np.linalg.norm(normal)
+    length = np.linalg.norm(normal)
+    return normal / length if length > 0.0 else normal[:0]  # two sets in the same place
 
 
 def _with_vertices(shape: CompletedShape, vertices: np.ndarray) -> CompletedShape:

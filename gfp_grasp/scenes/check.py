@@ -5,13 +5,14 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
 import mujoco
 import numpy as np
 
-from gfp_grasp.errors import InvalidScene, UnreadableFile
+from gfp_grasp.errors import InvalidOption, InvalidScene, UnreadableFile
 
 SECONDS = 2.0
 MOST_TILT_DEG, MOST_TRAVEL_M = 5.0, 0.005
@@ -20,7 +21,7 @@ _SPACE_M = 1.0  # of the floor below everything, beside what stands on it
 
 @dataclass(frozen=True)
 class BodyCheck:
-    """How one free body behaved.
+    """How one free body behaved; tilt and way are infinite for all bodies of a scene whose simulation breaks down.
 
     Attributes:
         name: The body.
@@ -53,6 +54,7 @@ def check_file(path: str | Path, *, seconds: float = SECONDS) -> tuple[BodyCheck
     Raises:
         UnreadableFile: MuJoCo does not read it; the message is MuJoCo's.
         InvalidScene: Nothing in it is free to move.
+        InvalidOption: The time is not a finite positive number.
     """
     path = Path(path)
     if not path.is_file():
@@ -60,7 +62,7 @@ def check_file(path: str | Path, *, seconds: float = SECONDS) -> tuple[BodyCheck
     try:
         spec = mujoco.MjSpec.from_file(str(path))
         if path.suffix.lower() == ".urdf":
-            _put_on_floor(spec)
+            _put_on_floor(spec, fixed=_has_world(path))
         model = spec.compile()
     except ValueError as error:
         raise UnreadableFile(f"MuJoCo does not read {path}: {error}") from error
@@ -69,6 +71,8 @@ def check_file(path: str | Path, *, seconds: float = SECONDS) -> tuple[BodyCheck
 
 def check_model(model: mujoco.MjModel, *, seconds: float = SECONDS) -> tuple[BodyCheck, ...]:
     """How the free bodies of a model behave from its first state on; see `check_file`."""
+    if not 0.0 < seconds < np.inf:
+        raise InvalidOption(f"seconds is {seconds!r}; a finite positive number is expected")
     free = [model.jnt_bodyid[j] for j in range(model.njnt) if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_FREE]
     if not free:
         raise InvalidScene("no body of the scene has a free joint: nothing in it can stand or fall")
@@ -78,17 +82,31 @@ def check_model(model: mujoco.MjModel, *, seconds: float = SECONDS) -> tuple[Bod
     before = data.xmat.reshape(-1, 3, 3).copy(), data.xpos.copy(), data.xipos.copy()
     gravity = np.array(model.opt.gravity)
     up = -gravity / np.linalg.norm(gravity) if gravity.any() else np.array([0.0, 0.0, 1.0])
-    while data.time < seconds and np.isfinite(data.qpos).all():
-        mujoco.mj_step(model, data)
+    sound = _simulated(model, data, seconds)
     found = []
     for body in free:
         turn = data.xmat[body].reshape(3, 3) @ before[0][body].T
         ways = (data.xpos[body] - before[1][body], data.xipos[body] - before[2][body])
         travel_m = max(float(np.linalg.norm(way)) for way in ways)
         tilt_deg = float(np.degrees(np.arccos(np.clip(up @ turn @ up, -1.0, 1.0))))
+        if not sound:
+            travel_m = tilt_deg = np.inf
         name = model.body(body).name or f"body {body}"
         found.append(BodyCheck(name, tilt_deg, travel_m, float(overlap_m[body])))
     return tuple(found)
+
+
+def _simulated(model: mujoco.MjModel, data: mujoco.MjData, seconds: float) -> bool:
+    """Simulate for a time, and say whether all numbers stayed finite; the first that does not ends it.
+
+    MuJoCo resets a state that is not finite, and its time with it, and counts a warning.
+    """
+    bad = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
+    while data.time < seconds:
+        mujoco.mj_step(model, data)
+        if any(data.warning[kind].number for kind in bad):
+            return False
+    return True
 
 
 def _overlaps_m(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
@@ -101,11 +119,18 @@ def _overlaps_m(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
     return deepest
 
 
-def _put_on_floor(spec: mujoco.MjSpec) -> None:
+def _has_world(path: Path) -> bool:
+    """Whether a URDF has a link "world", to which its other links may be fixed; MuJoCo takes it for its own."""
+    text = path.read_text(encoding="utf-8", errors="replace")  # a parser would refuse prefixes that MuJoCo reads
+    return re.search(r"<link\s[^>]*?\bname\s*=\s*[\"']world[\"']", text) is not None
+
+
+def _put_on_floor(spec: mujoco.MjSpec, *, fixed: bool) -> None:
+    """Put a floor below everything; links without a joint become free, unless they are fixed to a link "world"."""
     spec.compiler.fusestatic = False  # else a single link becomes a part of the world
     roots = [body for body in spec.bodies if body.parent is not None and body.parent.name == "world"]
     for body in roots:
-        if not body.joints:
+        if not body.joints and not fixed:
             body.add_freejoint()
     model = spec.compile()
     data = mujoco.MjData(model)
