@@ -180,9 +180,10 @@ def _least_cut(
 def _sides(points: np.ndarray) -> np.ndarray:
     """Outward unit normals (n, 3) of the hull of points; none where they are flat."""
     try:
-        return np.unique(ConvexHull(points).equations[:, :3].round(_SAME_NORMAL), axis=0)
+        normals = ConvexHull(points).equations[:, :3]
     except QhullError:  # flat
         return np.empty((0, 3))
+    return normals[np.unique(normals.round(_SAME_NORMAL), axis=0, return_index=True)[1]]
 
 
 def _between(a: np.ndarray, b: np.ndarray, weights: list[np.ndarray]) -> np.ndarray:
