@@ -1,4 +1,4 @@
-"""`gfp-grasp complete`, `demo` and `view`: every option arrives, and what was done is told."""
+"""`gfp-grasp complete`, `check`, `demo` and `view`: every option arrives, and what was done is told."""
 
 import warnings
 from collections.abc import Sequence
@@ -8,27 +8,42 @@ from typing import Any
 
 import numpy as np
 import pytest
+from bodies import WEDGE
 from recorded_calls import Recorder, recorded, rows_of, run
+from toy_completions import toy_image
 
 from gfp_grasp.captures import Capture
 from gfp_grasp.collision import CollisionConfig
 from gfp_grasp.complete import CompleteConfig
+from gfp_grasp.completion import CompletedScene
+from gfp_grasp.overlap import GaveWay
 from gfp_grasp.primitives import PrimitiveLibrary
+from gfp_grasp.scenes import BodyCheck
 
 CAPTURE = Capture("own", points=np.eye(3), viewpoint=np.array([1.0, 2.0, 3.0]), support_height=0.5)
 
 
 def completion(category: str, scores: dict[str, float], num_parts: int) -> SimpleNamespace:
-    """What the command reads of a completion, and a recorder of its files."""
+    """What the command reads of a completion, a wedge on its side, and a recorder of its files."""
     return SimpleNamespace(
         category=category,
         scores=scores,
         parts=[None] * num_parts,
-        mesh=SimpleNamespace(extents=np.array([0.0812, 0.0927, 0.1234])),
+        mesh=SimpleNamespace(vertices=WEDGE),
+        detection=SimpleNamespace(up=np.array([0.0, 1.0, 0.0])),
         observed=np.array([True, False, False]),
         timings_s={"detect": 0.1, "register": 0.0321},
-        export=Recorder(),
+        export=Recorder(Path("written by it")),
     )
+
+
+def scene_of(patch: pytest.MonkeyPatch, *completions: Any, gave_way: tuple[GaveWay, ...] = ()) -> Recorder:
+    """The completions as the answer of the command's work, a scene; and a recorder of the scene's files."""
+    export = recorded(patch, "gfp_grasp.completion.CompletedScene.export", Path("the scene.xml"))
+    scene = CompletedScene(completions, toy_image(), None, gave_way)
+    recorded(patch, "gfp_grasp.captures.read_capture", CAPTURE)
+    recorded(patch, "gfp_grasp.captures.complete_capture", scene)
+    return export
 
 
 def completed_as(patch: pytest.MonkeyPatch, *completions: object) -> Recorder:
@@ -43,7 +58,7 @@ def test_complete_hands_on_every_option(
     complete = completed_as(monkeypatch, mug)
     place = "--viewpoint 0.1,-0.2,0.5 --up 0,1,0 --support-height 0.25 --category mug --files"
     place += " --detector own:find --sensor lidar"
-    budget = "--max-parts 7 --max-vertices 16 --tolerance-mm 2.5 --seed 9 --gps"
+    budget = "--bare --max-parts 7 --max-vertices 16 --tolerance-mm 2.5 --seed 9 --gps"
     out = tmp_path / "mug.xml"
     assert run(f"complete own.ply {place} {budget}", tmp_path, "-o", out) == 0
     (capture,), named = complete.only
@@ -56,8 +71,11 @@ def test_complete_hands_on_every_option(
         collision=CollisionConfig(max_parts=7, max_vertices_per_part=16, tolerance_m=0.0025),
     )
     assert named == {"category": "mug", "detector": "own:find", "sensor": "lidar", "config": config, "seed": 9}
-    assert mug.export.only == ((out,), {"assets": "files"})
-    assert rows_of(capsys.readouterr().out) == ["mug   │  0.88 │ 81 x 93 x 123 │  33% │     3 │      132"]
+    assert mug.export.only == ((out,), {"assets": "files", "contact": False})
+    printed = capsys.readouterr()
+    # Up is y: the footprint is that of the wedge's triangle.
+    assert rows_of(printed.out) == ["mug    │  0.88 │ 67 x 27 x 40 │  33% │     3 │      132"]
+    assert printed.out.splitlines()[-1] == "wrote written by it"
 
 
 def test_complete_leaves_a_recording_as_it_is_where_nothing_is_said(
@@ -72,7 +90,7 @@ def test_complete_leaves_a_recording_as_it_is_where_nothing_is_said(
     assert named["config"] == CompleteConfig(collision=CollisionConfig(max_parts=80))
     assert (named["category"], named["detector"], named["sensor"], named["seed"]) == (None, None, "tabletop", 0)
     assert [call[0][0].name for call in cup.export.calls] == ["a.xml", "b.glb"]
-    assert all(call[1] == {"assets": "embedded"} for call in cup.export.calls)
+    assert all(call[1] == {"assets": "embedded", "contact": True} for call in cup.export.calls)
 
 
 def test_an_up_that_is_auto_is_estimated_whatever_the_recording_says(
@@ -84,29 +102,113 @@ def test_an_up_that_is_auto_is_estimated_whatever_the_recording_says(
     assert complete.only[0][0].up is None
 
 
-def test_several_objects_get_numbered_files_and_warnings_become_notes(
+def test_the_objects_of_a_picture_are_written_as_one_scene_and_warnings_become_notes(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
-    objects = (completion("mug", {"mug": 0.5}, 3), completion("cup", {}, 12))
-    completed_as(monkeypatch, *objects)
+    objects = (completion("mug", {"mug": 0.5}, 3), completion("mug", {}, 12), completion("cup", {"cup": 1.0}, 1))
+    export = scene_of(monkeypatch, *objects)
+    scene = CompletedScene(objects, toy_image(), None)
 
     def warn(*_: object, **__: object) -> Sequence[Any]:
         for kind in (UserWarning, RuntimeWarning):
             warnings.warn(f"[a] {kind.__name__}", kind, stacklevel=2)
-        return objects
+        return scene
 
     monkeypatch.setattr("gfp_grasp.captures.complete_capture", warn)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        assert run("complete own.ply -o", tmp_path / "it.stl") == 0
-    names = [call[0][0].name for thing in objects for call in thing.export.calls]
-    assert names == ["it_0.stl", "it_1.stl"]
+        assert run("complete own.npz --files -o", tmp_path / "it.xml", "-o", tmp_path / "it.stl") == 0
+    how = {"assets": "files", "contact": True}
+    assert export.calls == [((tmp_path / "it.xml",), how), ((tmp_path / "it.stl",), how)]
+    assert not any(thing.export.calls for thing in objects)
     printed = capsys.readouterr()
     assert printed.err.splitlines()[-2:] == ["note: [a] UserWarning", "note: [a] RuntimeWarning"]
     assert rows_of(printed.out) == [
-        "mug   │  0.50 │ 81 x 93 x 123 │  33% │     3 │      132",
-        "cup   │   nan │ 81 x 93 x 123 │  33% │    12 │      132",
+        "mug    │  0.50 │ 67 x 27 x 40 │  33% │     3 │      132",
+        "mug_2  │   nan │ 67 x 27 x 40 │  33% │    12 │      132",
+        "cup    │  1.00 │ 67 x 27 x 40 │  33% │     1 │      132",
     ]
+    assert printed.out.splitlines()[-1] == "wrote the scene.xml, the scene.xml"
+
+
+def test_each_object_has_files_of_its_own_by_its_name_where_that_is_asked_for(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    objects = (completion("mug", {}, 3), completion("mug", {}, 12))
+    export = scene_of(monkeypatch, *objects)
+    assert run("complete own.npz --each -o", tmp_path / "it.stl", "-o", tmp_path / "b.xml") == 0
+    names = [[call[0][0].name for call in thing.export.calls] for thing in objects]
+    assert names == [["it_mug.stl", "b_mug.xml"], ["it_mug_2.stl", "b_mug_2.xml"]]
+    assert not export.calls
+    assert capsys.readouterr().out.splitlines()[-1] == "wrote " + ", ".join(["written by it"] * 4)
+
+
+def test_the_only_object_of_a_picture_has_the_name_that_was_given(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    mug = completion("mug", {}, 3)
+    export = scene_of(monkeypatch, mug)
+    assert run("complete own.npz --each -o", tmp_path / "it.stl") == 0
+    assert mug.export.only[0] == (tmp_path / "it.stl",)
+    assert run("complete own.npz -o", tmp_path / "it.stl") == 0
+    assert export.only[0] == (tmp_path / "it.stl",)
+
+
+def test_what_a_user_may_not_expect_is_told(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
+) -> None:
+    objects = (
+        completion("mug", {"mug": 0.3, "cup": 0.704, "bottle": 0.1}, 3),
+        completion("mug", {"mug": 0.6, "cup": 0.4}, 3),
+        completion("bottle", {}, 3),
+    )
+    ways = (GaveWay(2, 1, 0.0036, 0.0, moved=True), GaveWay(0, 2, 0.0124, 0.0, moved=False))
+    scene_of(monkeypatch, *objects, gave_way=ways)
+    assert run("complete own.npz -o", tmp_path / "it.xml") == 0
+    assert capsys.readouterr().err.splitlines() == [
+        "note: mug is named by what fits best; the classifier says cup (0.70)",
+        "note: bottle was cut back by 4 mm where it reached into mug_2",
+        "note: mug and bottle overlap by 12 mm",
+    ]
+
+
+STILL = BodyCheck("mug", tilt_deg=4.96, travel_m=0.00494, overlap_m=0.00123)
+
+
+@pytest.mark.parametrize(
+    ("other", "row", "code"),
+    [
+        (BodyCheck("cup", 0.0, 0.001, 0.0), "cup    │       0.0 │        1.0 │         0.0 │ yes", 0),
+        (BodyCheck("cup", 5.0, 0.001, 0.0), "cup    │       5.0 │        1.0 │         0.0 │ no", 1),
+        (BodyCheck("cup", 0.0, 0.005, 0.0), "cup    │       0.0 │        5.0 │         0.0 │ no", 1),
+        (BodyCheck("cup", np.inf, np.inf, 0.0), "cup    │       inf │        inf │         0.0 │ no", 1),
+    ],
+)
+def test_check_says_what_stands_and_its_exit_code_whether_all_does(
+    other: BodyCheck, row: str, code: int, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    check = recorded(monkeypatch, "gfp_grasp.scenes.check_file", (STILL, other))
+    assert run("check own.urdf --seconds 0.5") == code
+    assert check.only == ((Path("own.urdf"),), {"seconds": 0.5})
+    rows = [line.rstrip() for line in rows_of(capsys.readouterr().out)]
+    assert [" ".join(line.split()) for line in rows] == [
+        " ".join(line.split()) for line in ("mug │ 5.0 │ 4.9 │ 1.2 │ yes", row)
+    ]
+
+
+def test_check_simulates_two_seconds_and_refuses_less_than_ten_milliseconds(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    check = recorded(monkeypatch, "gfp_grasp.scenes.check_file", (STILL,))
+    assert run("check own.xml") == 0
+    assert check.only == ((Path("own.xml"),), {"seconds": 2.0})
+    assert run("check own.xml --seconds 0.009") == 2
+    assert "seconds" in capsys.readouterr().err
+
+
+def test_check_refuses_what_is_no_file_in_one_line(capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    assert run("check", tmp_path / "none.xml") == 2
+    assert capsys.readouterr().err.splitlines() == [f"UnreadableFile: {tmp_path / 'none.xml'} is no file"]
 
 
 def test_demo_hands_on_every_option(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:

@@ -5,10 +5,10 @@ import pytest
 import trimesh
 from bodies import AWAY, SLOPE, TURN, WEDGE, WEDGE_M3, box_part
 
-from gfp_grasp.collision.convex import convex_part, convex_parts, fewer_corners, needed_corners
+from gfp_grasp.collision.convex import convex_part, convex_parts, fewer_corners, needed_corners, within_bounds
 from gfp_grasp.collision.parts import PartFaces, parts_from_arrays, parts_to_arrays, volume_m3, within_parts
 from gfp_grasp.errors import InvalidMesh
-from gfp_grasp.types import ConvexPart
+from gfp_grasp.types import CollisionMesh, ConvexPart
 
 
 def wedge(T: np.ndarray | None = None) -> ConvexPart:
@@ -162,3 +162,58 @@ def test_arrays_that_are_no_convex_parts_are_refused(change: dict, said: str):
     arrays = {**parts_to_arrays([box_part([0, 0, 0], [1, 2, 3])]), **change}
     with pytest.raises(InvalidMesh, match=said):
         parts_from_arrays({name: array for name, array in arrays.items() if array is not None})
+
+
+ACROSS = np.array([0.6, 0.8, 0.0])  # a bound that is aligned with no side
+BOXES = (box_part([0.1, 0.0, 0.0], [0.2, 0.02, 0.03]), box_part([0.2, 0.0, 0.0], [0.25, 0.04, 0.03]))
+
+
+def bounded(*planes: tuple[list[float] | np.ndarray, float], parts: tuple[ConvexPart, ...] = BOXES) -> CollisionMesh:
+    collision = CollisionMesh(parts, (0.001, 0.002, 0.003), "cuts", 0.5, {"volume_ratio": 1.1})
+    rows = [np.append(normal, offset) for normal, offset in planes]
+    kept = within_bounds(collision, np.array(rows).reshape(-1, 4))
+    assert (kept.error_m, kept.made_by, kept.seconds, kept.notes) == (
+        (0.001, 0.002, 0.003),
+        "cuts",
+        0.5,
+        collision.notes,
+    )
+    return kept
+
+
+def test_parts_within_their_bounds_stay_themselves():
+    for planes in ((), (([1.0, 0.0, 0.0], 0.25), (ACROSS, 0.19))):
+        assert all(own is part for own, part in zip(bounded(*planes).parts, BOXES, strict=True))
+
+
+def test_what_of_a_part_lies_beyond_is_put_into_the_plane():
+    first, second = bounded(([1.0, 0.0, 0.0], 0.22)).parts
+    assert first is BOXES[0]
+    np.testing.assert_allclose(
+        [second.vertices.min(axis=0), second.vertices.max(axis=0)], [[0.2, 0, 0], [0.22, 0.04, 0.03]]
+    )
+    assert volume_m3(second) == pytest.approx(0.02 * 0.04 * 0.03)
+    assert second.to_trimesh().is_volume
+
+
+def test_corners_move_along_the_normal_of_a_slanted_bound():
+    (_, second) = bounded((ACROSS, 0.16)).parts
+    corner = np.array([0.25, 0.04, 0.03]) - (0.6 * 0.25 + 0.8 * 0.04 - 0.16) * ACROSS
+    assert np.linalg.norm(second.vertices - corner, axis=1).min() < 1e-12
+    assert (second.vertices @ ACROSS).max() == pytest.approx(0.16)
+
+
+def test_all_bounds_are_kept_to():
+    first, second = bounded(([1.0, 0.0, 0.0], 0.23), ([0.0, -1.0, 0.0], -0.01), ([-1.0, 0.0, 0.0], -0.12)).parts
+    np.testing.assert_allclose(
+        [first.vertices.min(axis=0), first.vertices.max(axis=0)], [[0.12, 0.01, 0], [0.2, 0.02, 0.03]]
+    )
+    np.testing.assert_allclose(
+        [second.vertices.min(axis=0), second.vertices.max(axis=0)], [[0.2, 0.01, 0], [0.23, 0.04, 0.03]]
+    )
+
+
+def test_a_part_of_which_nothing_solid_is_left_falls_away_unless_it_is_the_last():
+    assert bounded(([1.0, 0.0, 0.0], 0.2)).parts == BOXES[:1]
+    assert len(bounded(([1.0, 0.0, 0.0], 0.20005)).parts) == 1
+    assert bounded(([1.0, 0.0, 0.0], 0.05)).parts == BOXES

@@ -192,7 +192,7 @@ def _uneven(lift_m: float) -> CompletedShape:
     """The box B, moved up, with a bottom that is 0.2 mm off level."""
     mesh = refined(trimesh.creation.box(bounds=B), 0.01)
     bottom = mesh.vertices[:, 2] == 0.0
-    uneven = np.array(mesh.vertices) + [0.0, 0.0, lift_m]
+    uneven = np.add(mesh.vertices, [0.0, 0.0, lift_m])
     uneven[bottom & (uneven[:, 1] > 0.02), 2] += 2e-4
     return shape_of(trimesh.Trimesh(uneven, mesh.faces, process=False))
 

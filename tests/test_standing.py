@@ -145,7 +145,7 @@ def test_a_small_foot_grows_before_the_body_is_turned():
 @pytest.mark.parametrize(("degrees", "floor_m"), [(3.0, 0.0), (4.8, 0.4)])
 def test_a_body_that_would_topple_is_turned_onto_the_side_that_it_would_roll_to(degrees: float, floor_m: float):
     vertices, faces = tilted(degrees)
-    vertices = vertices + [0.0, 0.0, floor_m]
+    vertices = np.add(vertices, [0.0, 0.0, floor_m])
     found = stand_on(vertices, faces, floor_m, sigma_m=FINE_M)
     upright, _ = arrays(l_body(0.006))
     np.testing.assert_allclose(found[:, 2] - floor_m, upright[:, 2], atol=1e-5)
@@ -182,7 +182,7 @@ def test_a_keel_falls_onto_its_nearer_side():
 def test_what_no_foot_holds_stays_as_it_is():
     vertices, faces = leaning(0.06, height_m=0.1)  # its centre of mass is beyond its own bottom
     np.testing.assert_allclose(stand_on(vertices, faces, 0.0, sigma_m=1e-5), vertices, atol=1e-12)
-    lifted = vertices + [0.0, 0.0, 0.01]
+    lifted = np.add(vertices, [0.0, 0.0, 0.01])
     found = stand_on(lifted, faces, 0.01, sigma_m=1e-5)
     np.testing.assert_allclose(found, lifted, atol=1e-12)
 
@@ -195,7 +195,7 @@ def test_the_centre_of_mass_is_that_of_the_solid_wherever_it_is():
 
 
 def test_a_margin_is_the_way_to_the_nearest_edge():
-    ground = AWAY[:2] + [[0, 0], [0.06, 0], [0.06, 0.02], [0, 0.02], [0.03, 0.01]]
+    ground = np.add(AWAY[:2], [[0, 0], [0.06, 0], [0.06, 0.02], [0, 0.02], [0.03, 0.01]])
     for place, margin_m in (([0.05, 0.013], 0.007), ([0.057, 0.01], 0.003), ([0.062, 0.01], -0.002)):
         assert _margin_m(ground, AWAY[:2] + place) == pytest.approx(margin_m)
     for too_few in (ground[:0], ground[:1], ground[:2], np.linspace(ground[0], ground[2], 5)):

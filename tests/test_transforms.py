@@ -6,6 +6,7 @@ import pytest
 from gfp_grasp.transforms import (
     FLIP_YZ,
     apply_T,
+    cross,
     invert_T,
     is_rotation,
     look_at,
@@ -103,3 +104,14 @@ def test_random_rotations_come_from_their_generator_and_differ():
     rng = np.random.default_rng(0)
     mean = np.mean([random_rotation(rng) for _ in range(2000)], axis=0)
     assert np.abs(mean).max() < 0.06  # uniform: no direction is preferred
+
+
+def test_cross_products_follow_the_right_hand_over_any_number_of_axes():
+    assert cross(np.array([2.0, 3.0, 5.0]), np.array([7.0, 11.0, 13.0])) == pytest.approx([-16.0, 9.0, 1.0])
+    rng = np.random.default_rng(1)
+    for shapes in (((4, 5, 3), (4, 5, 3)), ((4, 1, 3), (5, 3)), ((3,), (2, 3))):
+        a, b = (rng.normal(size=shape) for shape in shapes)
+        np.testing.assert_allclose(cross(a, b), np.cross(a, b), atol=1e-15)
+    single = np.ones(3, np.float32)
+    assert cross(single, single).dtype == np.float32
+    assert cross(single, np.ones(3)).dtype == np.float64
