@@ -23,7 +23,7 @@ from gfp_grasp.scenes import BodyCheck
 CAPTURE = Capture("own", points=np.eye(3), viewpoint=np.array([1.0, 2.0, 3.0]), support_height=0.5)
 
 
-def completion(category: str, scores: dict[str, float], num_parts: int) -> SimpleNamespace:
+def completion(category: str, scores: dict[str, float], num_parts: int) -> Any:
     """What the command reads of a completion, a wedge on its side, and a recorder of its files."""
     return SimpleNamespace(
         category=category,

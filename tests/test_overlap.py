@@ -223,19 +223,10 @@ def test_each_object_keeps_to_the_planes_of_all_its_neighbours():
 
 def test_edges_that_cross_are_parted_by_a_plane_between_them():
     """A roof that lies on a keel: no side of either parts them, the level plane between their edges does."""
-    roof = trimesh.convex.convex_hull(
-        [[0, -0.02, 0], [0, 0.02, 0], [0, 0, 0.03], [0.1, -0.03, 0], [0.1, 0.02, 0], [0.1, 0, 0.03]]
-    )
-    keel = trimesh.convex.convex_hull(
-        [
-            [0.03, -0.04, 0.06],
-            [0.07, -0.04, 0.06],
-            [0.05, -0.04, 0.028],
-            [0.03, 0.05, 0.06],
-            [0.08, 0.05, 0.06],
-            [0.05, 0.05, 0.028],
-        ]
-    )
+    edge = [[0, -0.02, 0], [0, 0.02, 0], [0, 0, 0.03], [0.1, -0.03, 0], [0.1, 0.02, 0], [0.1, 0, 0.03]]
+    low = [[0.03, -0.04, 0.06], [0.07, -0.04, 0.06], [0.05, -0.04, 0.028]]
+    low += [[0.03, 0.05, 0.06], [0.08, 0.05, 0.06], [0.05, 0.05, 0.028]]
+    roof, keel = (trimesh.convex.convex_hull(np.array(corners)) for corners in (edge, low))
     turn = make_T(rotation_about((0.5, -0.3, 0.2), 0.6))  # so that the plane is not level
     shapes = [shape_of(refined(mesh, 0.004).apply_transform(turn)) for mesh in (roof, keel)]
     apart = parted(*shapes, floor_m=None)
