@@ -11,7 +11,7 @@ import trimesh
 from scipy.spatial import ConvexHull, KDTree, QhullError
 from sklearn.svm import LinearSVC
 
-from gfp_grasp.deform import stand_on, stood_on_m
+from gfp_grasp.deform import stand_on
 from gfp_grasp.meshes import vertex_normals
 from gfp_grasp.transforms import rotation_between
 from gfp_grasp.types import CompletedShape
@@ -68,8 +68,9 @@ def make_way(shapes: Sequence[CompletedShape], *, up: np.ndarray, floor_m: float
 
     Two that overlap are parted by a plane, one side of either hull or one between the two, that moves least of what was
     seen, and after it least of the rest; whatever lies beyond it is put into it. What is cut off from above stands on
-    the plane then, as on a floor. Where that would move what was seen by more than 10 mm and more than they overlap, or leave
-    less than half of an object across the plane, as of one thing within another, both stay. Meshes keep their connectivity.
+    the plane then, as on a floor. Where what was seen would move by more than 10 mm and by more than the overlap, or
+    less than half of an object across the plane would be left, as of one thing within another, both stay. Meshes keep
+    their connectivity.
 
     Args:
         shapes: Completed shapes.
@@ -110,7 +111,8 @@ def make_way(shapes: Sequence[CompletedShape], *, up: np.ndarray, floor_m: float
         height_m = floors.get(k, floor_m)
         if height_m is not None:
             own, faces = vertices[k] @ level, shapes[k].mesh.faces
-            height_m = stood_on_m(own, height_m, sigma_m)  # another object may carry it
+            lowest_m = float(own[:, 2].min())
+            height_m = height_m if lowest_m < height_m + sigma_m else lowest_m  # another object carries it
             vertices[k] = stand_on(own, faces, height_m, sigma_m=sigma_m, turn=False) @ level.T
     return Apart(
         [_with_vertices(s, vertices[k]) if k in changed else s for k, s in enumerate(shapes)],

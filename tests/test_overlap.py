@@ -94,20 +94,35 @@ def test_guessed_surface_gives_way_before_seen_surface(order: int):
     np.testing.assert_allclose(apart.bounds[1 - index][1], plane([1, 0, 0], 0.06 - HALF_M), atol=1e-7)
 
 
-@pytest.mark.parametrize(("overlap_m", "parts"), [(0.0198, True), (0.0202, False)])
-def test_seen_surface_moves_by_a_centimetre_at_most(overlap_m: float, parts: bool):
-    def everywhere(vertices):
-        return np.ones(len(vertices), bool)
+def everywhere(vertices: np.ndarray) -> np.ndarray:
+    return np.ones(len(vertices), bool)
 
-    shapes = box(*A, everywhere), box([0.06 - overlap_m, 0.005, 0.0], [0.12, 0.03, 0.05], everywhere)
-    apart = parted(*shapes)
-    if parts:
-        assert [way.seen_m for way in apart.gave_way] == pytest.approx([overlap_m / 2 + HALF_M] * 2)
+
+@pytest.mark.parametrize(
+    ("reach_m", "seen", "parts"), [(0.017, True, True), (0.022, True, False), (0.022, False, True)]
+)
+def test_seen_surface_moves_by_a_centimetre_at_most(reach_m: float, seen: bool, parts: bool):
+    """A block reaches far into a trough from above, and a millimetre into its wall."""
+    seen_where = everywhere if seen else None
+    block = box([0.02, 0.01, 0.05 - reach_m], [0.061, 0.03, 0.11], seen_where, edge_m=0.002)
+    shapes = shape_of(trough()[0], seen_where), block
+    apart = parted(*shapes, floor_m=None)
+    assert [way.moved for way in apart.gave_way] == ([True, True] if parts else [False])
+    if not parts:
+        assert_unchanged(apart, *shapes)
+        (way,) = apart.gave_way
+        assert (way.index, way.other, way.seen_m) == (0, 1, 0.0)
+        assert 0.0005 < way.depth_m < 0.01
         return
-    assert_unchanged(apart, *shapes)
-    (way,) = apart.gave_way
-    assert (way.index, way.other, way.seen_m, way.moved) == (0, 1, 0.0, False)
-    assert way.depth_m > 0.009
+    step_m = reach_m / 2 + HALF_M
+    assert [way.depth_m for way in apart.gave_way] == pytest.approx([step_m, step_m])
+    assert [way.seen_m for way in apart.gave_way] == pytest.approx([step_m, step_m] if seen else [0.0, 0.0])
+
+
+def test_seen_surface_moves_as_far_as_two_things_overlap():
+    shapes = box(*A, everywhere, edge_m=0.004), box([0.038, 0.005, 0.0], [0.12, 0.03, 0.05], everywhere, edge_m=0.004)
+    step_m = 0.011 + HALF_M
+    assert [way.seen_m for way in parted(*shapes).gave_way] == pytest.approx([step_m, step_m])
 
 
 @pytest.mark.parametrize(("overlap_m", "parts"), [(0.0003, False), (0.0007, True)])
@@ -170,7 +185,7 @@ def test_one_thing_within_another_is_told_of_and_not_crushed(low_m: float):
 
 @pytest.mark.parametrize(("thickness_m", "parts"), [(0.0065, True), (0.0058, False)])
 def test_an_object_gives_way_by_half_of_it_at_most(thickness_m: float, parts: bool):
-    whole = box(*A, seen=lambda vertices: np.ones(len(vertices), bool))
+    whole = box(*A, seen=everywhere)
     thin = box([0.057, 0.005, 0.0], [0.057 + thickness_m, 0.035, 0.09])
     (way,) = parted(whole, thin).gave_way
     assert way.moved == parts
@@ -178,7 +193,7 @@ def test_an_object_gives_way_by_half_of_it_at_most(thickness_m: float, parts: bo
 
 
 def test_what_is_cut_from_above_stands_on_the_plane_as_on_a_floor():
-    below = box(*A, seen=lambda vertices: np.ones(len(vertices), bool))
+    below = box(*A, seen=everywhere)
     turn = make_T(rotation_about((0.3, 1.0, 0.0), np.radians(0.5)), (0.0, 0.0, 0.097))
     upper = refined(trimesh.creation.box(bounds=[[0.01, 0.005, 0.0], [0.05, 0.03, 0.05]]), 0.01)
     bottom = upper.vertices[:, 2] == 0.0

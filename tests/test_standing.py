@@ -53,8 +53,8 @@ def rests(vertices: np.ndarray, faces: np.ndarray, floor_m: float = 0.0) -> bool
 @pytest.mark.parametrize(
     ("floor_seen", "lift_m", "floor_m"),
     [
-        (True, 6.6 * SIGMA_M, 0.0),
-        (True, 6.7 * SIGMA_M, 6.7 * SIGMA_M),
+        (True, 19.9 * SIGMA_M, 0.0),
+        (True, 20.1 * SIGMA_M, 20.1 * SIGMA_M),
         (True, -0.004, 0.0),
         (False, 0.005, 0.005),
         (False, -0.004, -0.004),

@@ -29,15 +29,9 @@ def stood(vertices: np.ndarray, faces: np.ndarray, view: LevelView) -> np.ndarra
     The plane it stands on is the support that was seen, where the object reaches it, and else goes through the object's
     lowest point.
     """
-    sigma_m = view.sensor.sigma_m
-    floor_m = stood_on_m(vertices, 0.0, sigma_m) if view.floor_seen else float(vertices[:, 2].min())
+    sigma_m, lowest = view.sensor.sigma_m, float(vertices[:, 2].min())
+    floor_m = 0.0 if view.floor_seen and lowest < _SUPPORT_REACHED * sigma_m else lowest
     return stand_on(vertices, faces, floor_m, sigma_m=sigma_m)
-
-
-def stood_on_m(vertices: np.ndarray, floor_m: float, sigma_m: float) -> float:
-    """z of what vertices (v, 3) m, z up, stand on: a floor where they reach it, else their lowest point."""
-    lowest = float(vertices[:, 2].min())
-    return floor_m if lowest < floor_m + _SUPPORT_REACHED * sigma_m else lowest
 
 
 def stand_on(
@@ -46,7 +40,7 @@ def stand_on(
     """Vertices (v, 3) m of a closed surface, z up, moved so that it stands on a floor.
 
     What faces down within a little of the floor comes to lie in it; nothing stays below it. The lowest point is drawn
-    down to the floor, however high it is: see `stood_on_m`. Where the centre of mass
+    down to the floor, however high it is. Where the centre of mass
     is not above what is stood on, the real object has more of a foot than this one, or lies otherwise: the foot grows,
     and the object is turned onto the side that it would roll to, if that is near.
 
