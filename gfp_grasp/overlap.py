@@ -22,7 +22,7 @@ _WITHIN_M = 0.001  # so far within one surface is within the other, too, where t
 _NEAR_M = 0.02  # convex parts reach so far beyond the surface that they stand for
 _SEEN_WEIGHT = 1000.0  # of a seen vertex against a guessed one
 _MOST_SEEN_M = 0.01  # that a seen surface is moved by, or the overlap: one thing in another is left as it is
-_MOST_SHARE = 0.5  # of an object's extent across the plane that is cut off: more would crush one thing within another
+_NESTED = 0.8  # share of an object's vertices within another from which on it is one thing within another
 _SAME_NORMAL = 5  # digits to which the faces of a hull are one side of it
 _LEVEL = 0.9  # cosine between up and the normal of a plane that things stand on
 _LEANING = 0.6  # cosine from which on a plane is rather level than upright
@@ -69,8 +69,7 @@ def make_way(shapes: Sequence[CompletedShape], *, up: np.ndarray, floor_m: float
     Two that overlap are parted by a plane, one side of either hull or one between the two, that moves least of what was
     seen, and after it least of the rest; whatever lies beyond it is put into it. What is cut off from above stands on
     the plane then, as on a floor. Where what was seen would move by more than 10 mm and by more than the overlap, or
-    less than half of an object across the plane would be left, as of one thing within another, both stay. Meshes keep
-    their connectivity.
+    where nearly all of an object is within the other, both stay. Meshes keep their connectivity.
 
     Args:
         shapes: Completed shapes.
@@ -85,17 +84,14 @@ def make_way(shapes: Sequence[CompletedShape], *, up: np.ndarray, floor_m: float
     for a, b in combinations(range(len(shapes)), 2):
         if not _near(vertices[a], vertices[b]):
             continue
-        depth_m = _overlap_m(vertices[a], shapes[a].mesh.faces, vertices[b], shapes[b].mesh.faces)
+        depth_m, share = _overlap(vertices[a], shapes[a].mesh.faces, vertices[b], shapes[b].mesh.faces)
         normal, offset = _parting_plane(vertices[a], shapes[a].observed, vertices[b], shapes[b].observed, up)
         sides = ((a, b, normal, offset - _CLEARANCE_M / 2), (b, a, -normal, -offset - _CLEARANCE_M / 2))
         steps = [np.maximum(vertices[k] @ n - d, 0.0) for k, _, n, d in sides]
         if depth_m <= _ALLOWED_M and max(step.max() for step in steps) > _CLEARANCE_M:
             continue  # one reaches round the other
         seen_m = [float(step[shapes[k].observed].max(initial=0.0)) for step, (k, *_) in zip(steps, sides, strict=True)]
-        crushed = any(
-            step.max() > _MOST_SHARE * np.ptp(vertices[k] @ n) for step, (k, _, n, _) in zip(steps, sides, strict=True)
-        )
-        if crushed or max(seen_m) > max(_MOST_SEEN_M, depth_m):
+        if share > _NESTED or max(seen_m) > max(_MOST_SEEN_M, depth_m):
             given.append(GaveWay(a, b, depth_m, 0.0, moved=False))
             continue
         for step, seen, (k, other, n, d) in zip(steps, seen_m, sides, strict=True):
@@ -126,23 +122,26 @@ def _near(a: np.ndarray, b: np.ndarray) -> bool:
     return bool((high - low).min() > -_NEAR_M)
 
 
-def _overlap_m(a: np.ndarray, faces_a: np.ndarray, b: np.ndarray, faces_b: np.ndarray) -> float:
-    """How deep a vertex of either closed surface, or what lies a little within it, is in the other, m; 0 if none is."""
-    low, high = np.maximum(a.min(axis=0), b.min(axis=0)), np.minimum(a.max(axis=0), b.max(axis=0))
-    if (high - low).min() <= 0:
-        return 0.0
+def _overlap(a: np.ndarray, faces_a: np.ndarray, b: np.ndarray, faces_b: np.ndarray) -> tuple[float, float]:
+    """How deep two closed surfaces reach into each other, m, and the larger share of the vertices of one in the other.
+
+    Asked are the vertices and what lies a little within them.
+    """
     deep_a, deep_b = (np.vstack([v, v - _WITHIN_M * vertex_normals(v, f)]) for v, f in ((a, faces_a), (b, faces_b)))
-    return max(_depth_m(deep_a, b, faces_b, low, high), _depth_m(deep_b, a, faces_a, low, high))
+    depths = _depths_m(deep_a, b, faces_b), _depths_m(deep_b, a, faces_a)
+    shares = [float((depth[len(depth) // 2 :] > 0).mean()) for depth in depths]
+    return max(float(depth.max()) for depth in depths), max(shares)
 
 
-def _depth_m(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray, low: np.ndarray, high: np.ndarray) -> float:
-    """Depth of the deepest point within a surface, by the vertex nearest to each point between two corners."""
-    points = points[((points >= low) & (points <= high)).all(axis=1)]
-    if len(points) == 0:
-        return 0.0
-    nearest = KDTree(vertices).query(points)[1]
-    heights = np.einsum("ni,ni->n", points - vertices[nearest], vertex_normals(vertices, faces)[nearest])
-    return float(np.maximum(-heights, 0.0).max())
+def _depths_m(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """How deep each point (n,) lies within a closed surface, m, by the vertex nearest to it; 0 outside of its box."""
+    inside = ((points >= vertices.min(axis=0)) & (points <= vertices.max(axis=0))).all(axis=1)
+    depths = np.zeros(len(points))
+    if inside.any():
+        nearest = KDTree(vertices).query(points[inside])[1]
+        normals = vertex_normals(vertices, faces)[nearest]
+        depths[inside] = np.maximum(np.einsum("ni,ni->n", vertices[nearest] - points[inside], normals), 0.0)
+    return depths
 
 
 def _parting_plane(
