@@ -192,15 +192,37 @@ def test_an_object_of_which_nearly_all_is_in_another_stays(end_m: float, parts: 
     assert (way.index, way.other) == ((1, 0) if parts else (0, 1))
 
 
-def test_what_is_cut_from_above_stands_on_the_plane_as_on_a_floor():
+@pytest.mark.parametrize("floor_m", [FLOOR_M, None])
+def test_what_is_cut_from_above_stands_on_the_plane_as_on_a_floor(floor_m: float | None):
     below = box(*A, seen=everywhere)
-    turn = make_T(rotation_about((0.3, 1.0, 0.0), np.radians(0.5)), (0.0, 0.0, 0.097))
+    turn = make_T(rotation_about((0.3, 1.0, 0.0), np.radians(1.2)), (0.0, 0.0, 0.1003))
     upper = refined(trimesh.creation.box(bounds=[[0.01, 0.005, 0.0], [0.05, 0.03, 0.05]]), 0.01)
     bottom = upper.vertices[:, 2] == 0.0
-    apart = parted(below, shape_of(upper.apply_transform(turn)))
+    before = upper.apply_transform(turn).vertices[bottom, 2]
+    assert before.min() < 0.0995
+    assert before.max() > 0.1001  # not all of it is cut
+    apart = parted(below, shape_of(upper), floor_m=floor_m)
     heights = (apart.shapes[1].mesh.vertices[bottom] - AWAY) @ UP
     assert heights == pytest.approx(0.1 + HALF_M, abs=1e-9)
     assert extent(apart.shapes[1])[1, 2] == pytest.approx(upper.vertices[:, 2].max(), abs=1e-6)
+
+
+def test_a_level_plane_is_better_than_a_leaning_one_that_cuts_off_a_little_less():
+    turn = make_T(rotation_about((0.3, 1.0, 0.0), np.radians(3.0)), (0.0, 0.0, 0.099))
+    upper = refined(trimesh.creation.box(bounds=[[0.01, 0.005, 0.0], [0.05, 0.03, 0.05]]), 0.01)
+    apart = parted(box(*A), shape_of(upper.apply_transform(turn), everywhere))
+    np.testing.assert_allclose(apart.bounds[0][1, :3], UP, atol=1e-9)
+    assert apart.bounds[0][1, 3] - FLOOR_M == pytest.approx(upper.vertices[:, 2].min() - HALF_M)
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_a_side_of_either_hull_may_be_the_plane(order: int):
+    turn = make_T(rotation_about((0.0, 0.0, 1.0), np.radians(20.0)), (0.027, 0.0, 0.0))
+    block = refined(trimesh.creation.box(bounds=[[0.0, -0.05, -0.04], [0.07, 0.06, 0.05]]), 0.01).apply_transform(turn)
+    ball = shape_of(trimesh.creation.icosphere(subdivisions=4, radius=0.03))
+    apart = parted(*(ball, shape_of(block, everywhere))[::order], floor_m=None)
+    normal = apart.bounds[::order][0][0, :3]
+    np.testing.assert_allclose(TURN.T @ normal, turn[:3, 0], atol=1e-9)
 
 
 def _uneven(lift_m: float) -> CompletedShape:

@@ -162,6 +162,13 @@ def test_a_urdf_gets_a_floor_below_its_lowest_point_and_its_root_is_free(tmp_pat
     assert found.overlap_m < 1e-6
 
 
+def test_the_floor_of_a_urdf_is_below_what_collides(tmp_path: Path):
+    seen = '<visual><geometry><box size="0.1 0.1 3"/></geometry></visual></link>'
+    kept = '<mujoco><compiler discardvisual="false"/></mujoco>'
+    (found,) = check_file(urdf(tmp_path, kept, link("a", 0.05).replace("</link>", seen)))
+    assert found.stands
+
+
 def test_several_roots_of_a_urdf_are_free_and_the_higher_one_falls(tmp_path: Path):
     still, falls = check_file(urdf(tmp_path, link("a", 0.05), link("b", 1.05).replace("0.3 -0.2", "0.6 0.2")))
     assert (still.name, falls.name) == ("a", "b")

@@ -136,10 +136,11 @@ def test_a_foot_grows_no_more_than_it_must_and_the_body_above_stays():
 
 
 def test_a_small_foot_grows_before_the_body_is_turned():
-    vertices, faces = tilted(-1.0)  # it stands on an edge, 8 feet of its bottom reach below the centre of mass
+    vertices, faces = tilted(3.0)  # the centre of mass is above what lies 3 mm high
     found = stand_on(vertices, faces, 0.0, sigma_m=SIGMA_M)
     np.testing.assert_array_equal(found[:, :2], vertices[:, :2])
     assert rests(found, faces)
+    assert 4 * FOOT_M < vertices[found[:, 2] == 0.0, 2].max() < 8 * FOOT_M
 
 
 @pytest.mark.parametrize(("degrees", "floor_m"), [(3.0, 0.0), (4.8, 0.4)])
@@ -158,21 +159,22 @@ def test_a_body_that_would_topple_is_turned_onto_the_side_that_it_would_roll_to(
 
 
 def test_a_body_that_leans_by_more_than_five_degrees_or_may_not_be_turned_grows_a_foot():
-    for degrees, turn in ((5.2, True), (3.0, False)):
+    for degrees, sigma_m, turn in ((5.2, SIGMA_M, True), (3.0, FINE_M, False)):
         vertices, faces = tilted(degrees)
-        found = stand_on(vertices, faces, 0.0, sigma_m=SIGMA_M, turn=turn)
+        found = stand_on(vertices, faces, 0.0, sigma_m=sigma_m, turn=turn)
         np.testing.assert_array_equal(found[:, :2], vertices[:, :2])
         assert rests(found, faces)
 
 
-def test_a_keel_falls_onto_its_nearer_side():
+@pytest.mark.parametrize("side", [1, -1])
+def test_a_keel_falls_onto_its_nearer_side(side: int):
     section = np.array([[-0.05, np.tan(np.radians(4.0)) * 0.05], [0.0, 0.0], [0.05, np.tan(np.radians(1.5)) * 0.05]])
     ring = np.vstack([section, [0.05, 0.04], [-0.05, 0.04]])
-    corners = np.array([[x, y, z] for y in (0.0, 0.03) for x, z in ring])
+    corners = np.array([[side * x, y, z] for y in (0.0, 0.03) for x, z in ring])
     hull = trimesh.convex.convex_hull(corners)
     vertices, faces = arrays(hull)
     found = stand_on(vertices, faces, 0.0, sigma_m=FINE_M)
-    x = vertices[:, 0] - AWAY[0]
+    x = side * (vertices[:, 0] - AWAY[0])
     low = vertices[:, 2] < 0.01
     assert found[low & (x > -0.01), 2] == pytest.approx(0.0, abs=1e-12)
     left = 0.05 / np.cos(np.radians(4.0)) * np.sin(np.radians(5.5))
