@@ -69,7 +69,7 @@ def make_way(shapes: Sequence[CompletedShape], *, up: np.ndarray, floor_m: float
     Two that overlap are parted by a plane, one side of either hull or one between the two, that moves least of what was
     seen, and after it least of the rest; whatever lies beyond it is put into it. What is cut off from above stands on
     the plane then, as on a floor. Where what was seen would move by more than 10 mm and by more than the overlap, or
-    where nearly all of an object is within the other, both stay. Meshes keep their connectivity.
+    where nearly all of an object is within the other or beyond the plane, both stay. Meshes keep their connectivity.
 
     Args:
         shapes: Completed shapes.
@@ -91,7 +91,8 @@ def make_way(shapes: Sequence[CompletedShape], *, up: np.ndarray, floor_m: float
         if depth_m <= _ALLOWED_M and max(step.max() for step in steps) > _CLEARANCE_M:
             continue  # one reaches round the other
         seen_m = [float(step[shapes[k].observed].max(initial=0.0)) for step, (k, *_) in zip(steps, sides, strict=True)]
-        if share > _NESTED or max(seen_m) > max(_MOST_SEEN_M, depth_m):
+        flat = any(step.min() > 0.0 for step in steps)  # all of one lies beyond the plane
+        if flat or share > _NESTED or max(seen_m) > max(_MOST_SEEN_M, depth_m):
             given.append(GaveWay(a, b, depth_m, 0.0, moved=False))
             continue
         for step, seen, (k, other, n, d) in zip(steps, seen_m, sides, strict=True):

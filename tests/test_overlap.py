@@ -183,13 +183,21 @@ def test_one_thing_within_another_is_told_of_and_not_crushed(low_m: float):
     assert way.depth_m > 0.009
 
 
-@pytest.mark.parametrize(("end_m", "parts"), [(0.062, True), (0.0605, False)])
+@pytest.mark.parametrize(("end_m", "parts"), [(0.16, True), (0.0605, False)])
 def test_an_object_of_which_nearly_all_is_in_another_stays(end_m: float, parts: bool):
     whole = box(*A, seen=everywhere)
-    long = box([0.01, 0.005, 0.01], [end_m, 0.025, 0.09])
+    long = box([0.01, 0.002, 0.01], [end_m, 0.038, 0.09])
     (way,) = parted(whole, long).gave_way
     assert way.moved == parts
     assert (way.index, way.other) == ((1, 0) if parts else (0, 1))
+
+
+def test_a_plate_that_a_plane_would_press_flat_stays():
+    block = box([0.0, 0.0, 0.0], [0.06, 0.04, 0.0445], everywhere, edge_m=0.004)
+    plate = box([0.03, 0.005, 0.04], [0.12, 0.03, 0.044], edge_m=0.004)
+    apart = parted(block, plate)
+    assert_unchanged(apart, block, plate)
+    assert [way.moved for way in apart.gave_way] == [False]
 
 
 @pytest.mark.parametrize("floor_m", [FLOOR_M, None])
