@@ -97,9 +97,8 @@ def test_the_task_draws_what_the_environment_does(folder):
         np.testing.assert_array_equal(mine.T_world_object, theirs.T_world_object)
         assert mine.randomisation == theirs.randomisation
         assert mine.completion is not None
-        grasp = plan_grasps(mine.completion, 1)[0]
-        grasp = ActionCode().decode(ActionCode().encode(grasp))
-        outcome, info = task.run_trial(grasp), env.step(ActionCode().encode(grasp))[4]
+        action = ActionCode().encode(plan_grasps(mine.completion, 1)[0])
+        outcome, info = task.run_trial(ActionCode().decode(action)), env.step(action)[4]
         assert (outcome.reason, outcome.slip_m) == (info["reason"], info["slip_m"])
         assert outcome.settings["grip_n"] == mine.randomisation.grip_n
 

@@ -93,7 +93,7 @@ def find_table(image: DepthImage, up: np.ndarray | None, *, sensor: SensorProfil
         sensor: Its noise and sizes are the units of all thresholds.
     """
     points, normals = _points_and_normals(image, sensor)
-    known = np.isfinite(points).all(axis=2)
+    known = np.asarray(np.isfinite(points).all(axis=2))
     oriented = known & np.isfinite(normals).all(axis=2)
     if oriented.sum() < 100:
         return Tables(None, 0)
@@ -123,7 +123,7 @@ def _points_and_normals(image: DepthImage, sensor: SensorProfile) -> tuple[np.nd
     """Every second point (h, w, 3) m of a picture, and unit normals towards the camera; NaN where there is none."""
     points = image.points()
     k = _NORMAL_PX
-    known = np.isfinite(points).all(axis=2)
+    known = np.asarray(np.isfinite(points).all(axis=2))
     sums = np.stack([ndimage.uniform_filter(np.where(known, points[..., i], 0.0), 2 * k - 1) for i in range(3)], axis=2)
     share = ndimage.uniform_filter(known.astype(np.float64), 2 * k - 1)
     with np.errstate(invalid="ignore", divide="ignore"):
@@ -207,13 +207,13 @@ def _what_stands(
     """The plane with the outline of its large pieces, and how many pixels of things that stand on it are seen."""
     R = rotation_between(plane.normal, (0.0, 0.0, 1.0))
     # Objects and their shadows part a table top in the picture; specks elsewhere at its height are none of it.
-    pieces, _ = ndimage.label(ndimage.binary_dilation(near, iterations=4))
+    pieces, _ = _pieces(np.asarray(ndimage.binary_dilation(near, iterations=4)))
     sizes = np.bincount(pieces[near], weights=slab_m[near])
     ground = points @ R[:2].T
     own = near & np.isin(pieces, np.flatnonzero(sizes >= _LEAST_PIECE * sizes.max()))
     try:
         # A wall or a chair that crosses the plane leaves a thin strip in it.
-        hull = ConvexHull(ground[ndimage.binary_opening(own, iterations=_STRIP_PX)])
+        hull = ConvexHull(ground[np.asarray(ndimage.binary_opening(own, iterations=_STRIP_PX), dtype=bool)])
     except (QhullError, ValueError):
         return None, 0.0
     outline = np.unique(hull.equations, axis=0)
@@ -221,7 +221,7 @@ def _what_stands(
     heights = plane.distances(np.where(known[..., None], points, 0.0))
     above = known & (heights > slab_m) & (heights < _TALLEST * sensor.largest_m)
     above[above] = table.beyond_m(points[above]) <= table.margin_m
-    bodies, num_bodies = ndimage.label(above)
+    bodies, num_bodies = _pieces(above)
     if num_bodies == 0:
         return table, 0.0
     standing = 0.0
@@ -234,3 +234,10 @@ def _what_stands(
         if low < _BEGINS * sensor.sigma_m and extent < _MAX_WIDTH * sensor.largest_m:
             standing += float(body.sum())
     return table, min(standing, float(own.sum()))  # a support reaches beyond what stands on it
+
+
+def _pieces(chosen: np.ndarray) -> tuple[np.ndarray, int]:
+    """Connected pieces (h, w) of chosen pixels, from 1 on, and their number."""
+    pieces = np.zeros(chosen.shape, dtype=np.int32)
+    ndimage.label(chosen, output=pieces)
+    return pieces, int(pieces.max(initial=0))
