@@ -17,7 +17,7 @@ _FOOT = 1 / 3
 _SUPPORT_REACHED = 20.0  # and an object whose lowest point is this far above the support that was seen is not on it.
 _LEAST_MARGIN = 1.0  # of the centre of mass within the outline of the feet
 _FACES_DOWN = -0.3  # z of the normal of a vertex that can be stood on
-_LEAST_BOTTOM = 0.25  # what faces up stays so far above the support, a share of the foot
+_LEAST_BOTTOM = 1 / 3  # what faces up stays so far above the support, multiples of the noise
 _MOST_TURN_DEG = 5.0  # that an object which would topple is turned by, to where it rests
 # A foot that is too small grows to what lies so many times as high: a little before the object is turned, and after it.
 _GROWN, _GROWN_MORE = (2, 4, 8), (16, 32, 64, 128)
@@ -51,9 +51,9 @@ def stand_on(
         sigma_m: The sensor's noise, the unit of what is little.
         turn: Whether the object may be turned.
     """
-    first = answer = _on_plane(vertices, faces, floor_m, _FOOT * sigma_m)
+    first = answer = _on_plane(vertices, faces, floor_m, sigma_m)
     for grown in (1, *_GROWN):
-        answer = first if grown == 1 else _on_plane(vertices, faces, floor_m, grown * _FOOT * sigma_m)
+        answer = first if grown == 1 else _on_plane(vertices, faces, floor_m, sigma_m, grown)
         if _stands(answer, faces, floor_m, sigma_m):
             return answer
     rotation = _turn_to_rest(vertices, _centre_of_mass(first, faces)) if turn else None
@@ -61,19 +61,20 @@ def stand_on(
         centre = _centre_of_mass(first, faces)
         turned = (vertices - centre) @ rotation.T + centre
         turned[:, 2] += floor_m - turned[:, 2].min()
-        return _on_plane(turned, faces, floor_m, _FOOT * sigma_m)
+        return _on_plane(turned, faces, floor_m, sigma_m)
     for grown in _GROWN_MORE:
-        answer = _on_plane(vertices, faces, floor_m, grown * _FOOT * sigma_m)
+        answer = _on_plane(vertices, faces, floor_m, sigma_m, grown)
         if _stands(answer, faces, floor_m, sigma_m):
             return answer
     return first
 
 
-def _on_plane(vertices: np.ndarray, faces: np.ndarray, floor_m: float, foot_m: float) -> np.ndarray:
-    z = vertices[:, 2]
+def _on_plane(vertices: np.ndarray, faces: np.ndarray, floor_m: float, sigma_m: float, grown: int = 1) -> np.ndarray:
+    """The vertices with those of the foot, which is so many times as high as it need be, in the floor."""
+    z, foot_m = vertices[:, 2], grown * _FOOT * sigma_m
     down = vertex_normals(vertices, faces)[:, 2]
     stands = (z < max(float(z.min()), floor_m) + foot_m) & (down < _FACES_DOWN)
-    least_m = np.where(down > -_FACES_DOWN, floor_m + _LEAST_BOTTOM * foot_m, floor_m)
+    least_m = np.where(down > -_FACES_DOWN, floor_m + _LEAST_BOTTOM * sigma_m, floor_m)
     return np.column_stack([vertices[:, :2], np.where(stands, floor_m, np.maximum(z, least_m))])
 
 
