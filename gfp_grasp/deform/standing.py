@@ -40,9 +40,9 @@ def stand_on(
     """Vertices (v, 3) m of a closed surface, z up, moved so that it stands on a floor.
 
     What faces down within a little of the floor comes to lie in it; nothing stays below it. The lowest point is drawn
-    down to the floor, however high it is. Where the centre of mass
-    is not above what is stood on, the real object has more of a foot than this one, or lies otherwise: the foot grows,
-    and the object is turned onto the side that it would roll to, if that is near.
+    down to the floor, however high it is. Where the centre of mass is not above what is stood on, the real object has
+    more of a foot than this one, or lies otherwise: the foot grows, and the object is turned onto the side that it
+    would roll to, if that is near.
 
     Args:
         vertices: (v, 3) m.
@@ -51,28 +51,40 @@ def stand_on(
         sigma_m: The sensor's noise, the unit of what is little.
         turn: Whether the object may be turned.
     """
-    first = answer = _on_plane(vertices, faces, floor_m, sigma_m)
-    for grown in (1, *_GROWN):
-        answer = first if grown == 1 else _on_plane(vertices, faces, floor_m, sigma_m, grown)
-        if _stands(answer, faces, floor_m, sigma_m):
-            return answer
-    rotation = _turn_to_rest(vertices, _centre_of_mass(first, faces)) if turn else None
+    down = vertex_normals(vertices, faces)[:, 2]
+    first = _on_plane(vertices, down, floor_m, sigma_m)
+    if _stands(first, faces, floor_m, sigma_m):
+        return first
+    grown = _with_grown_foot(vertices, faces, down, floor_m, sigma_m, _GROWN)
+    if grown is not None:
+        return grown
+    centre = _centre_of_mass(first, faces)
+    rotation = _turn_to_rest(vertices, centre) if turn else None
     if rotation is not None:
-        centre = _centre_of_mass(first, faces)
         turned = (vertices - centre) @ rotation.T + centre
         turned[:, 2] += floor_m - turned[:, 2].min()
-        return _on_plane(turned, faces, floor_m, sigma_m)
-    for grown in _GROWN_MORE:
-        answer = _on_plane(vertices, faces, floor_m, sigma_m, grown)
+        return _on_plane(turned, vertex_normals(turned, faces)[:, 2], floor_m, sigma_m)
+    grown = _with_grown_foot(vertices, faces, down, floor_m, sigma_m, _GROWN_MORE)
+    return first if grown is None else grown
+
+
+def _with_grown_foot(
+    vertices: np.ndarray, faces: np.ndarray, down: np.ndarray, floor_m: float, sigma_m: float, sizes: tuple[int, ...]
+) -> np.ndarray | None:
+    """The vertices on the first foot of some sizes that carries the centre of mass; None where none does."""
+    for grown in sizes:
+        answer = _on_plane(vertices, down, floor_m, sigma_m, grown)
         if _stands(answer, faces, floor_m, sigma_m):
             return answer
-    return first
+    return None
 
 
-def _on_plane(vertices: np.ndarray, faces: np.ndarray, floor_m: float, sigma_m: float, grown: int = 1) -> np.ndarray:
-    """The vertices with those of the foot, which is so many times as high as it need be, in the floor."""
+def _on_plane(vertices: np.ndarray, down: np.ndarray, floor_m: float, sigma_m: float, grown: int = 1) -> np.ndarray:
+    """The vertices with those of the foot, which is so many times as high as it need be, in the floor.
+
+    What faces down has a normal whose z, `down` (v,), is negative.
+    """
     z, foot_m = vertices[:, 2], grown * _FOOT * sigma_m
-    down = vertex_normals(vertices, faces)[:, 2]
     stands = (z < max(float(z.min()), floor_m) + foot_m) & (down < _FACES_DOWN)
     least_m = np.where(down > -_FACES_DOWN, floor_m + _LEAST_BOTTOM * sigma_m, floor_m)
     return np.column_stack([vertices[:, :2], np.where(stands, floor_m, np.maximum(z, least_m))])

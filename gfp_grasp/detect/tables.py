@@ -13,10 +13,9 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import ConvexHull, QhullError
 
-from gfp_grasp.transforms import rotation_between
+from gfp_grasp.detect.support import MAX_TILT_DEG
+from gfp_grasp.transforms import cross, rotation_between
 from gfp_grasp.types import DepthImage, SensorProfile, SupportPlane
-
-MAX_TILT_DEG = 20.0  # between the plane's normal and a given up
 
 # Multiples of the sensor's noise:
 _SLAB = 4.0  # half the thickness of a plane at the distance at which the sensor has this noise,
@@ -92,7 +91,7 @@ def find_table(image: DepthImage, up: np.ndarray | None, *, sensor: SensorProfil
         up: (3,) roughly the plane's normal, world frame; None takes any that the camera may look at from above.
         sensor: Its noise and sizes are the units of all thresholds.
     """
-    points, normals = _points_and_normals(image, sensor)
+    points, normals = _points_and_normals(image)
     known = np.asarray(np.isfinite(points).all(axis=2))
     oriented = known & np.isfinite(normals).all(axis=2)
     if oriented.sum() < 100:
@@ -119,7 +118,7 @@ def find_table(image: DepthImage, up: np.ndarray | None, *, sensor: SensorProfil
     return Tables(best, count)
 
 
-def _points_and_normals(image: DepthImage, sensor: SensorProfile) -> tuple[np.ndarray, np.ndarray]:
+def _points_and_normals(image: DepthImage) -> tuple[np.ndarray, np.ndarray]:
     """Every second point (h, w, 3) m of a picture, and unit normals towards the camera; NaN where there is none."""
     points = image.points()
     k = _NORMAL_PX
@@ -131,7 +130,7 @@ def _points_and_normals(image: DepthImage, sensor: SensorProfile) -> tuple[np.nd
     across, along = np.full_like(points, np.nan), np.full_like(points, np.nan)
     across[:, k:-k] = smooth[:, 2 * k :] - smooth[:, : -2 * k]
     along[k:-k] = smooth[2 * k :] - smooth[: -2 * k]
-    normals = np.cross(across[::_STRIDE, ::_STRIDE], along[::_STRIDE, ::_STRIDE])
+    normals = cross(across[::_STRIDE, ::_STRIDE], along[::_STRIDE, ::_STRIDE])
     points = points[::_STRIDE, ::_STRIDE]
     with np.errstate(invalid="ignore", divide="ignore"):
         normals /= np.linalg.norm(normals, axis=2, keepdims=True)
