@@ -165,9 +165,10 @@ def make_body(
     _check_name(name)
     _check_parts(parts)
     T = np.eye(4) if T_world_body is None else T_world_body
-    own = _moved(mesh, invert_T(T))
+    T_body_world = invert_T(T)
+    own = _moved(mesh, T_body_world)
     weight = mass_properties(own, density=density, shell_thickness_m=shell_thickness_m)
-    return Body(name, own, [_moved(part, invert_T(T)) for part in parts], weight, T)
+    return Body(name, own, [_moved(part, T_body_world) for part in parts], weight, T)
 
 
 def foot_pose(mesh: trimesh.Trimesh, parts: Sequence[Part], up: np.ndarray) -> np.ndarray:
