@@ -5,9 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from gfp_grasp.detect import numbers_of
-from gfp_grasp.errors import InvalidCloud, InvalidOption
+from gfp_grasp.errors import InvalidCloud, InvalidOption, InvalidView
+from gfp_grasp.units import unit_advice
 
 _FARTHEST_M = 1e12  # from any origin: beyond it metres have no decimals and squares overflow
+_FARTHEST_CAMERA_M = 100.0  # from its world's origin; in millimetres, one over a table is at 300 and more
 
 
 def _checked_vector(value: object, name: str) -> np.ndarray | None:
@@ -48,3 +50,15 @@ def checked_height(value: object) -> float | None:
     if not np.isfinite(height):
         raise InvalidOption(f"support_height is {height}; a finite number in metres, or None, is expected")
     return height
+
+
+def checked_pose(T_world_camera: np.ndarray) -> np.ndarray:
+    """The pose (4, 4) of a depth camera, if it can be in metres."""
+    away_m = float(np.linalg.norm(T_world_camera[:3, 3]))
+    if away_m > _FARTHEST_CAMERA_M:
+        advice = unit_advice(away_m, least_m=0.1, most_m=20.0)
+        raise InvalidView(
+            f"T_world_camera puts the camera {away_m:.4g} m from the world's origin, and metres are expected, at most "
+            f"{_FARTHEST_CAMERA_M:g}: {advice}; if the world is a map, move its origin near to the table"
+        )
+    return T_world_camera

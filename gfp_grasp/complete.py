@@ -10,7 +10,7 @@ import numpy as np
 import trimesh
 from numpy.typing import ArrayLike
 
-from gfp_grasp.arguments import checked_direction, checked_height, checked_place
+from gfp_grasp.arguments import checked_direction, checked_height, checked_place, checked_pose
 from gfp_grasp.clouds import order_points
 from gfp_grasp.collision import CollisionConfig
 from gfp_grasp.completion import CompletedScene, Completion
@@ -155,13 +155,14 @@ def complete_scene(
     Raises:
         NothingDetected: No object stands out from the support.
         FitDiverged: No primitive fits any object.
-        InvalidView: Not a DepthImage.
+        InvalidView: Not a DepthImage, or its camera is so far from the origin that its pose cannot be in metres.
         UnknownDetector: No detector of that name.
         InvalidOption: The detector returned something else than detections.
     """
     _check_options(config, seed)
     if not isinstance(image, DepthImage):
         raise InvalidView(f"image is a {type(image).__name__}; a gfp_grasp.types.DepthImage is expected")
+    checked_pose(image.T_world_camera)
     done, failure = [], None
     for detection in get_detector(detector)(image, up=checked_direction(up)):
         try:

@@ -10,7 +10,7 @@ import trimesh
 from gfp_grasp import captures
 from gfp_grasp.camera import camera_points, intrinsics
 from gfp_grasp.captures import Capture, complete_capture, read_capture
-from gfp_grasp.captures.read import parse_pcd
+from gfp_grasp.captures.pcd import parse_pcd
 from gfp_grasp.errors import InvalidCloud, InvalidOption, InvalidView, UnreadableFile
 from gfp_grasp.transforms import apply_T, make_T, rotation_about
 from gfp_grasp.types import DepthImage
@@ -118,6 +118,7 @@ def test_suffixes_are_read_in_any_case(tmp_path: Path) -> None:
         "1\t2\t3\t9\n4\t5\t6\t9\n",
         "\ufeff1 2 3 255 0 0\n4 5 6 255 0 0\n",
         "\n\n1 2 3\n4 5 6\n",
+        "two points\nof one large mug\n1 2 3\n4 5 6\n",
     ],
 )
 def test_tables_of_every_separator_and_one_line_of_heading_are_read(tmp_path: Path, text: str) -> None:
@@ -125,7 +126,7 @@ def test_tables_of_every_separator_and_one_line_of_heading_are_read(tmp_path: Pa
     np.testing.assert_array_equal(read_capture(tmp_path / "a.txt").points, [[1, 2, 3], [4, 5, 6]])
 
 
-@pytest.mark.parametrize("text", ["", "x y z\n", "a\nb\n1 2 3\n", "1 2\n3 4\n"])
+@pytest.mark.parametrize("text", ["", "x y z\n", "a b c\n1 2 3\n", "1 2\n3 4\n", "60\n", "1\n2\n3\n"])
 def test_tables_without_rows_of_three_numbers_are_refused(tmp_path: Path, text: str) -> None:
     (tmp_path / "a.txt").write_text(text, encoding="utf-8")
     with pytest.raises(UnreadableFile):
@@ -163,24 +164,26 @@ def test_binary_fields_of_every_kind_and_count_are_stepped_over() -> None:
     head = _pcd("normal z flag x y", "F F I F U", "4 8 2 4 1", "3 1 2 1 1", "binary", 2)
     rows = [(9.0, 8.0, 7.0, 0.125, 5, 6, 1.5, 200), (9.0, 8.0, 7.0, -2.25, 5, 6, -0.5, 3)]
     body = b"".join(struct.pack("<fffdhhfB", *row) for row in rows)
-    np.testing.assert_array_equal(parse_pcd(head + body), [[1.5, 200, 0.125], [-0.5, 3, -2.25]])
-    np.testing.assert_array_equal(parse_pcd(head + body + b"more"), [[1.5, 200, 0.125], [-0.5, 3, -2.25]])
+    np.testing.assert_array_equal(parse_pcd(head + body).points, [[1.5, 200, 0.125], [-0.5, 3, -2.25]])
+    np.testing.assert_array_equal(parse_pcd(head + body + b"more").points, [[1.5, 200, 0.125], [-0.5, 3, -2.25]])
     with pytest.raises(UnreadableFile, match="cut short"):
         parse_pcd(head + body[:-1])
 
 
 def test_ascii_columns_follow_the_fields_and_counts_may_be_left_out() -> None:
     head = _pcd("rgb z x y", "U F F F", "4 4 4 4", None, "ASCII", 2)
-    np.testing.assert_array_equal(parse_pcd(head + b"255 3 1 2\n0 6 4 5\n"), [[1, 2, 3], [4, 5, 6]])
+    np.testing.assert_array_equal(parse_pcd(head + b"255 3 1 2\n0 6 4 5\n").points, [[1, 2, 3], [4, 5, 6]])
     head = _pcd("n x y z", "F F F F", "4 4 4 4", "2 1 1 1", "ascii", 1)
-    np.testing.assert_array_equal(parse_pcd(head + b"9 9 1 2 3\n"), [[1, 2, 3]])
+    np.testing.assert_array_equal(parse_pcd(head + b"9 9 1 2 3\n").points, [[1, 2, 3]])
 
 
 def test_what_a_pcd_lacks_is_named() -> None:
     with pytest.raises(UnreadableFile, match="x y z are expected"):
         parse_pcd(_pcd("x y", "F F", "4 4", None, "ascii", 1) + b"1 2\n")
-    with pytest.raises(UnreadableFile, match="binary_compressed"):
+    with pytest.raises(UnreadableFile, match="cut short"):
         parse_pcd(_pcd("x y z", "F F F", "4 4 4", None, "binary_compressed", 1) + b"123")
+    with pytest.raises(UnreadableFile, match="is base64; ascii, binary or binary_compressed"):
+        parse_pcd(_pcd("x y z", "F F F", "4 4 4", None, "base64", 1) + b"123")
     with pytest.raises(UnreadableFile, match="lacks SIZE, TYPE, DATA"):
         parse_pcd(b"FIELDS x y z\nPOINTS 1\n1 2 3\n")
     with pytest.raises(UnreadableFile, match="lacks"):
@@ -194,7 +197,7 @@ class _Calls:
     def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
         self.single: dict = {}
         self.scene: dict = {}
-        module = captures.read  # type: ignore[attr-defined]
+        module = captures.capture  # type: ignore[attr-defined]
         monkeypatch.setattr(module, "complete_to_mesh", lambda points, **keys: self.single.update(keys, points=points))
         monkeypatch.setattr(module, "complete_scene", lambda view, **keys: self.scene.update(keys, view=view))
 

@@ -20,7 +20,7 @@ from gfp_grasp.overlap import GaveWay
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.scenes import BodyCheck
 
-CAPTURE = Capture("own", points=np.eye(3), viewpoint=np.array([1.0, 2.0, 3.0]), support_height=0.5)
+CAPTURE = Capture("own", np.eye(3), viewpoint=np.array([1.0, 2.0, 3.0]), up=np.eye(3)[1], support_height=0.5)
 
 
 def completion(category: str, scores: dict[str, float], num_parts: int) -> Any:
@@ -30,7 +30,7 @@ def completion(category: str, scores: dict[str, float], num_parts: int) -> Any:
         scores=scores,
         parts=[None] * num_parts,
         mesh=SimpleNamespace(vertices=WEDGE),
-        detection=SimpleNamespace(up=np.array([0.0, 1.0, 0.0])),
+        detection=SimpleNamespace(up=np.array([0.0, 1.0, 0.0]), support=None),
         observed=np.array([True, False, False]),
         timings_s={"detect": 0.1, "register": 0.0321},
         export=Recorder(Path("written by it")),
@@ -100,6 +100,62 @@ def test_an_up_that_is_auto_is_estimated_whatever_the_recording_says(
     monkeypatch.setattr("gfp_grasp.captures.read_capture", lambda _: Capture("own", np.eye(3), up=np.ones(3)))
     assert run("complete own.ply --up auto -o", tmp_path / "a.glb") == 0
     assert complete.only[0][0].up is None
+
+
+@pytest.mark.parametrize(
+    ("words", "capture", "note"),
+    [
+        ("", Capture("own", np.eye(3), up=np.eye(3)[2], up_is_assumed=True), "up is taken to be z, (0, 0, 1), of the"),
+        (
+            "--up auto",
+            Capture("own", np.eye(3), up=np.eye(3)[2]),
+            "up is estimated to be (0, 1, 0), a guess; --up x,y,z",
+        ),
+        ("", Capture("own", np.eye(3)), "up is estimated to be (0, 1, 0), a guess; --up x,y,z"),
+        ("--up 0,1,0", Capture("own", np.eye(3), up_is_assumed=True), None),
+        ("", Capture("own", np.eye(3), up=np.ones(3), notes=("the frame is a camera's",)), "the frame is a camera's"),
+    ],
+)
+def test_the_frame_and_the_up_that_were_taken_are_told(
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    tmp_path: Path,
+    words: str,
+    capture: Capture,
+    note: str | None,
+) -> None:
+    completed_as(monkeypatch, completion("cup", {"cup": 1.0}, 2))
+    recorded(monkeypatch, "gfp_grasp.captures.read_capture", capture)
+    assert run(f"complete own.ply {words} -o", tmp_path / "a.glb") == 0
+    lines = capsys.readouterr().err.splitlines()
+    assert lines == [] if note is None else [line.startswith(f"note: {note}") for line in lines] == [True]
+
+
+def test_a_depth_picture_is_read_with_its_camera_and_its_unit(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    complete = completed_as(monkeypatch, completion("cup", {}, 2))
+    capture = Capture("depth.png", np.eye(3))
+    read = recorded(monkeypatch, "gfp_grasp.captures.read_depth", capture)
+    words = "complete --depth depth.png --intrinsics k.json --depth-scale 0.00025 -o"
+    assert run(words, tmp_path / "a.glb") == 0
+    assert read.only == ((Path("depth.png"), Path("k.json")), {"depth_scale": 0.00025})
+    assert complete.only[0][0].points is capture.points
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("", "one recording is expected"),
+        ("a.ply --depth d.png --intrinsics k.json", "one recording is expected"),
+        ("--depth d.png", "go together"),
+        ("a.ply --intrinsics k.json", "go together"),
+        ("a.ply --depth-scale 1000", "goes with them"),
+    ],
+)
+def test_a_recording_and_a_depth_picture_are_not_mixed(
+    capsys: pytest.CaptureFixture[str], tmp_path: Path, words: str, said: str
+) -> None:
+    assert run(f"complete {words} -o", tmp_path / "a.glb") == 2
+    assert said in capsys.readouterr().err
 
 
 def test_the_objects_of_a_picture_are_written_as_one_scene_and_warnings_become_notes(

@@ -81,7 +81,9 @@ def test_thirty_points_are_a_cloud_and_twenty_nine_are_not() -> None:
     assert len(clean_cloud(points[:12], min_points=12)) == 12
 
 
-@pytest.mark.parametrize(("size", "words"), [(0.0165, None), (0.0135, "at least"), (4.9, None), (5.3, "1000")])
+@pytest.mark.parametrize(
+    ("size", "words"), [(0.0165, None), (0.0135, "at least"), (4.9, None), (5.3, "in centimetres it would be 0.05")]
+)
 def test_extents_between_fifteen_millimetres_and_five_metres_are_metres(size: float, words: str | None) -> None:
     points = _surface((size, 0.8 * size, 0.9 * size))
     if words is None:

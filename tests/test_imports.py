@@ -15,7 +15,7 @@ import gfp_grasp
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "gfp_grasp"
 ROWS = (
-    ("errors", "types", "assets", "transforms", "parallel", "journal", "plugins"),
+    ("errors", "types", "assets", "transforms", "parallel", "journal", "plugins", "units"),
     ("camera", "clouds", "meshes", "metrics", "shapes", "collision"),
     ("arguments", "level", "recognition", "primitives", "detect", "register", "deform", "grasps"),
     ("overlap", "complete", "completers", "completion", "export", "scenes", "datasets", "captures"),

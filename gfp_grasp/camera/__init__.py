@@ -6,6 +6,7 @@
 from typing import TYPE_CHECKING
 
 from gfp_grasp.camera.cast import cast_rays, render_mesh_view, visible_points
+from gfp_grasp.camera.frames import SensorFrame, sensor_frame
 from gfp_grasp.camera.pinhole import (
     camera_points,
     cloud_of,
@@ -22,6 +23,7 @@ if TYPE_CHECKING:
     from gfp_grasp.camera.render import render_depth
 
 __all__ = [
+    "SensorFrame",
     "SensorModel",
     "apply_sensor",
     "camera_points",
@@ -33,6 +35,7 @@ __all__ = [
     "render_depth",
     "render_mesh_view",
     "sample_viewpoint",
+    "sensor_frame",
     "surface_normals",
     "view_from_points",
     "visible_points",

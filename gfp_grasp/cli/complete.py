@@ -14,6 +14,7 @@ from gfp_grasp.cli.terminal import (
     Gps,
     Seed,
     check_outputs,
+    direction,
     err,
     gps_option,
     out,
@@ -25,15 +26,27 @@ from gfp_grasp.cli.terminal import (
 from gfp_grasp.errors import InvalidOption
 
 if TYPE_CHECKING:
+    from gfp_grasp.captures import Capture
     from gfp_grasp.complete import CompleteConfig
     from gfp_grasp.completion import Completion
 
 
 def complete(
-    cloud: Annotated[Path, typer.Argument(help="Cloud or .npz capture, metres; sample is one that ships.")],
     output: Annotated[
         list[Path], typer.Option("--output", "-o", help=".obj .ply .stl .glb, .xml (MJCF) or .urdf; may be repeated.")
     ],
+    cloud: Annotated[
+        Path | None,
+        typer.Argument(help="Cloud or .npz capture, metres; sample is one that ships; left out with --depth."),
+    ] = None,
+    depth: Annotated[Path | None, typer.Option(help="Instead: depth picture, 16-bit .png or .tif, or .npy.")] = None,
+    intrinsics: Annotated[
+        Path | None, typer.Option(help="Its camera as JSON: K, or fx, fy, cx, cy; Open3D's and RealSense's too.")
+    ] = None,
+    depth_scale: Annotated[
+        float | None,
+        typer.Option(help="Its unit in metres, or units to a metre: 0.001 or 1000; left out, millimetres."),
+    ] = None,
     viewpoint: Annotated[str | None, typer.Option(help="Where the camera stood, x,y,z in metres.")] = None,
     up: Annotated[str | None, typer.Option(help="Normal of the support, x,y,z, or auto; z if left out.")] = None,
     support_height: Annotated[float | None, typer.Option(help="Height of the support along up, metres.")] = None,
@@ -55,7 +68,7 @@ def complete(
     seed: Seed = 0,
 ) -> None:
     """Complete the object of a cloud, or every object of a depth picture: the objects of a picture are one scene."""
-    from gfp_grasp.captures import complete_capture, read_capture
+    from gfp_grasp.captures import complete_capture
     from gfp_grasp.collision import CollisionConfig
     from gfp_grasp.complete import CompleteConfig
     from gfp_grasp.completion import CompletedScene
@@ -66,7 +79,7 @@ def complete(
     tolerance_m = None if tolerance_mm is None else tolerance_mm / 1000
     budget = CollisionConfig(max_parts, max_vertices, tolerance_m)
     config = CompleteConfig(library=PrimitiveLibrary.with_shipped(*(folders or ())), collision=budget)
-    capture = read_capture(cloud)
+    capture = _recording(cloud, depth, intrinsics, depth_scale)
     given: dict[str, object] = {}
     if viewpoint is not None:
         given["viewpoint"] = np.array(vector(viewpoint, "viewpoint"))
@@ -97,9 +110,34 @@ def complete(
         milliseconds = f"{1000 * sum(completion.timings_s.values()):.0f}"
         rows.append((name, score, size_mm, f"{completion.observed.mean():.0%}", str(count), milliseconds))
     table(("object", "score", "size, mm", "seen", "parts", "time, ms"), rows)
-    for line in _notes(completions, names):
+    lines = [*capture.notes, *_up_note(capture, up, completions), *_notes(completions, names)]
+    for line in lines:
         err.print(f"note: {line}", highlight=False, soft_wrap=True)
     out.print("wrote " + ", ".join(str(path) for path in written), highlight=False, soft_wrap=True)
+
+
+def _recording(cloud: Path | None, depth: Path | None, intrinsics: Path | None, depth_scale: float | None) -> "Capture":
+    """What the arguments name: a recording, or a depth picture with its camera."""
+    from gfp_grasp.captures import read_capture, read_depth
+
+    if (cloud is None) == (depth is None):
+        raise InvalidOption("one recording is expected: CLOUD, or --depth PICTURE with --intrinsics JSON")
+    if (depth is None) != (intrinsics is None) or (depth is None and depth_scale is not None):
+        raise InvalidOption("--depth and --intrinsics go together, and --depth-scale goes with them")
+    if depth is not None and intrinsics is not None:
+        return read_depth(depth, intrinsics, depth_scale=depth_scale)
+    assert cloud is not None
+    return read_capture(cloud)
+
+
+def _up_note(capture: "Capture", given: str | None, completions: Sequence["Completion"]) -> Iterator[str]:
+    """Which up was taken where nobody stated one."""
+    detection = completions[0].detection
+    if given == "auto" or (given is None and capture.up is None):
+        how = "a guess" if detection.support is None else "the normal of the plane that it stands on"
+        yield f"up is estimated to be {direction(detection.up)}, {how}; --up x,y,z gives it"
+    elif given is None and capture.up_is_assumed:
+        yield "up is taken to be z, (0, 0, 1), of the recording's frame; --up auto estimates it, --up x,y,z gives it"
 
 
 def _notes(completions: Sequence["Completion"], names: Sequence[str]) -> Iterator[str]:

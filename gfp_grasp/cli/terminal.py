@@ -114,6 +114,11 @@ def vector(text: str | None, name: str) -> list[float] | None:
     return numbers
 
 
+def direction(unit: Iterable[float]) -> str:
+    """A unit vector for a note, to two decimals."""
+    return f"({', '.join(f'{round(value, 2) + 0.0:g}' for value in unit)})"
+
+
 def check_outputs(paths: Sequence[Path]) -> None:
     """Refuse a file that could not be written, before any work is done for it.
 

@@ -16,6 +16,7 @@ from gfp_grasp.detect.validate import MIN_POINTS, robust_extents
 from gfp_grasp.errors import InvalidCloud, InvalidView, NothingDetected
 from gfp_grasp.parallel import one_thread
 from gfp_grasp.types import DepthImage, Detection, RangeImage, SensorProfile, SupportPlane, View
+from gfp_grasp.units import unit_advice
 
 # Angles of a camera above the horizon that are tried where neither up nor a table is known.
 _CAMERA_ELEVATIONS_DEG = (30.0, 15.0, 45.0, 0.0, 60.0)
@@ -155,9 +156,9 @@ def _refuse_too_large(points: np.ndarray, sensor: SensorProfile) -> None:
     extent_m = float(robust_extents(points).max())
     if extent_m > sensor.largest_m:
         raise InvalidCloud(
-            f"the object is {extent_m:.4g} m across, at most {sensor.largest_m} is expected: if the cloud is in "
-            "millimetres, divide it by 1000; if it holds more than one object, crop it; if a LiDAR saw it, say so "
-            '(sensor="lidar")'
+            f"the object is {extent_m:.4g} m across, at most {sensor.largest_m} is expected: "
+            f"{unit_advice(extent_m, least_m=sensor.smallest_m, most_m=sensor.largest_m)}; if it holds more than one "
+            'object, crop it; if a LiDAR saw it, say so (sensor="lidar")'
         )
 
 
@@ -174,9 +175,11 @@ def _refuse_viewpoint(viewpoint: np.ndarray, points: np.ndarray, sensor: SensorP
     sight = points - viewpoint
     distance = np.linalg.norm(sight, axis=1)
     if np.median(distance) > sensor.farthest_m:
+        away_m = float(np.median(distance))
+        advice = unit_advice(away_m, least_m=0.1, most_m=sensor.farthest_m)
         raise InvalidCloud(
-            f"viewpoint is {np.median(distance):.4g} m away from the object, at most {sensor.farthest_m:.0f} is "
-            "expected: is it in the frame of the cloud, and in metres?"
+            f"viewpoint is {away_m:.4g} m away from the object, at most {sensor.farthest_m:.0f} is expected: is it in "
+            f"the frame of the cloud, and in metres? ({advice})"
         )
     middle = points.mean(axis=0) - viewpoint
     cosine = sight @ middle / np.maximum(distance * np.linalg.norm(middle), 1e-12)

@@ -9,6 +9,7 @@ import numpy as np
 from gfp_grasp.clouds import distinct_points
 from gfp_grasp.errors import InvalidCloud, TooFewPoints
 from gfp_grasp.types import TABLETOP, SensorProfile
+from gfp_grasp.units import unit_advice
 
 MIN_POINTS = 30  # fewer say nothing about a shape; a mug 2 m away still has about 200
 # Thickness over length below which a cloud is a plane or a line. Sensor noise alone gives 1e-3 and more, so a real
@@ -137,16 +138,18 @@ def _refuse_wrong_unit(points: np.ndarray, sensor: SensorProfile) -> None:
     extent = float(robust_extents(points).max())
     if extent > sensor.scene_m:
         raise InvalidCloud(
-            f"cloud is {extent:.4g} across and metres are expected: if it is in millimetres, divide it by 1000, "
-            "if in centimetres, by 100; if it is a whole room, crop it to the table; if a LiDAR saw it, say so "
-            '(sensor="lidar")'
+            f"cloud is {extent:.4g} across and metres are expected: {_advice(extent, sensor)}; if it is a whole room, "
+            'crop it to the table; if a LiDAR saw it, say so (sensor="lidar")'
         )
     if extent < sensor.smallest_m:
         raise InvalidCloud(
-            f"cloud is {extent:.4g} across and metres are expected, at least {sensor.smallest_m} from a "
-            f"{sensor.name} sensor: "
-            "if it was normalised or is in another unit, scale it back"
+            f"cloud is {extent:.4g} across and metres are expected, at least {sensor.smallest_m} from a {sensor.name} "
+            f"sensor: if it was normalised or is in another unit, scale it back ({_advice(extent, sensor)})"
         )
+
+
+def _advice(extent: float, sensor: SensorProfile) -> str:
+    return unit_advice(extent, least_m=2 * sensor.smallest_m, most_m=sensor.largest_m)
 
 
 def _without_strays(points: np.ndarray, farther_m: float) -> tuple[np.ndarray, int]:

@@ -18,6 +18,7 @@ from numpy.typing import ArrayLike
 from gfp_grasp.errors import InvalidOption, InvalidView
 from gfp_grasp.transforms import apply_T, invert_T, is_rotation
 from gfp_grasp.types.arrays import checked_matrix, checked_numbers, freeze
+from gfp_grasp.units import unit_advice
 
 
 @dataclass(frozen=True)
@@ -74,6 +75,7 @@ def get_sensor(sensor: str | SensorProfile) -> SensorProfile:
 
 
 _FARTHEST_M = 50.0  # depth cameras end at 10 m; a picture in millimetres begins at 100
+_NEAREST_M, _LIKELY_M = 0.1, 10.0  # between these, what is in another unit is thought to be
 _FARTHEST_RANGE_M = 500.0  # LiDARs end at 250 m
 
 
@@ -123,7 +125,7 @@ class DepthImage:
 
     Attributes:
         depth_m: (h, w) float32 m along the optical axis; 0 where nothing came back.
-        K: (3, 3) float64 px, pinhole intrinsics.
+        K: (3, 3) float64 px, pinhole intrinsics; nine numbers, row by row, are taken too.
         T_world_camera: (4, 4) float64, pose of the OpenCV camera frame.
     """
 
@@ -134,7 +136,11 @@ class DepthImage:
     def __post_init__(self) -> None:
         depth = _checked_ranges(self.depth_m, "depth_m", _FARTHEST_M)
         freeze(self, "depth_m", depth)
-        K = checked_matrix(self.K, (3, 3), "K", InvalidView)
+        K = checked_numbers(self.K, "K", InvalidView)
+        K = checked_matrix(K.reshape(3, 3) if K.shape == (9,) else K, (3, 3), "K", InvalidView)
+        if not np.array_equal(K[2], (0.0, 0.0, 1.0)):
+            turned = ", K is transposed" if np.array_equal(K[:, 2], (0.0, 0.0, 1.0)) else ""
+            raise InvalidView(f"the last row of K is {K[2].tolist()}{turned}; (0, 0, 1) is expected")
         if K[0, 0] <= 0 or K[1, 1] <= 0:
             raise InvalidView(f"focal lengths are {K[0, 0]}, {K[1, 1]} px; both must be positive")
         freeze(self, "K", K)
@@ -294,7 +300,8 @@ def _checked_ranges(value: np.ndarray, name: str, farthest_m: float) -> np.ndarr
     ranges = np.where(np.isfinite(ranges) & (ranges > 0), ranges, np.float32(0))
     far = float(np.median(ranges[ranges > 0])) if ranges.any() else 0.0
     if far > farthest_m:
-        raise InvalidView(f"{name} has a median of {far:.4g} and metres are expected: divide millimetres by 1000")
+        advice = unit_advice(far, least_m=_NEAREST_M, most_m=_LIKELY_M)
+        raise InvalidView(f"{name} has a median of {far:.4g} and metres are expected: {advice}")
     return ranges
 
 
