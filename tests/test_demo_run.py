@@ -16,7 +16,7 @@ from gfp_grasp.assets import data_dir
 from gfp_grasp.captures import SAMPLE_FILE, Capture
 from gfp_grasp.complete import CompleteConfig
 from gfp_grasp.demo import quickstart, run_demo
-from gfp_grasp.demo.demo_scene import CLUTTER, FILE, SINGLE, DemoScene, pick_objects
+from gfp_grasp.demo.demo_scene import CLUTTER, FILE, ROOM, SINGLE, DemoScene, pick_objects
 from gfp_grasp.scenes import ObjectSource
 
 CONFIG = CompleteConfig(rival_share=0.5)
@@ -38,7 +38,7 @@ def chosen(monkeypatch: pytest.MonkeyPatch) -> Recorder:
     return recorded(monkeypatch, "gfp_grasp.demo.run.pick_objects", "objects")
 
 
-def test_its_own_scenes_are_a_clutter_and_a_single_object(
+def test_its_own_scenes_are_a_clutter_a_single_object_and_a_room(
     scene: DemoScene,
     chosen: Recorder,
     monkeypatch: pytest.MonkeyPatch,
@@ -46,9 +46,10 @@ def test_its_own_scenes_are_a_clutter_and_a_single_object(
     tmp_path: Path,
 ) -> None:
     simulated = recorded(monkeypatch, "gfp_grasp.demo.run.simulated_scene", scene)
+    room = recorded(monkeypatch, "gfp_grasp.demo.run.room_scene", scene)
     out = tmp_path / "deep" / "out"
-    assert run_demo(out, config=CONFIG, seed=7) == (scene, scene)
-    assert chosen.calls == [((CLUTTER,), {"seed": 7}), ((SINGLE,), {"seed": 7})]
+    assert run_demo(out, config=CONFIG, seed=7) == (scene, scene, scene)
+    assert chosen.calls == [((places,), {"seed": 7}) for places in (CLUTTER, SINGLE, ROOM)]
     named = [call[1] for call in simulated.calls]
     shared = {"config": CONFIG, "seed": 7}
     assert named == [
@@ -57,9 +58,10 @@ def test_its_own_scenes_are_a_clutter_and_a_single_object(
     ]
     assert [call[0][0] for call in simulated.calls] == ["A clutter of four", "A single mug"]
     assert all(call[0][2] == "objects" for call in simulated.calls)
+    assert (room.only[0][0], room.only[0][2], room.only[1]) == ("A room", "objects", {"folder": out / "room", **shared})
     page = (out / "index.html").read_text(encoding="utf-8")
     assert "<code>gfp-grasp demo --seed 7</code>" in page
-    assert page.count('<section class="scene"') == 2
+    assert page.count('<section class="scene"') == 3
     assert capsys.readouterr().out == ""  # without a console
     run_demo(out)
     assert [(call[1]["config"], call[1]["seed"]) for call in simulated.calls[2:]] == [(None, 0)] * 2
@@ -101,6 +103,7 @@ def test_figures_are_printed_under_the_title_with_words_at_the_left_and_outcomes
     scene: DemoScene, chosen: Recorder, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     recorded(monkeypatch, "gfp_grasp.demo.run.simulated_scene", scene)
+    recorded(monkeypatch, "gfp_grasp.demo.run.room_scene", scene)
     console = Console(file=StringIO(), width=160, force_terminal=True, color_system="standard", _environ={})
     run_demo(tmp_path, console=console)
     printed = console.file.getvalue()  # type: ignore[attr-defined]

@@ -14,9 +14,19 @@ from rich.table import Table
 
 from gfp_grasp.captures import read_capture
 from gfp_grasp.complete import CompleteConfig
-from gfp_grasp.demo.demo_scene import CLUTTER, HEADINGS, SINGLE, WORD_HEADINGS, DemoScene, figures_row, pick_objects
+from gfp_grasp.demo.demo_scene import (
+    CLUTTER,
+    HEADINGS,
+    ROOM,
+    SINGLE,
+    WORD_HEADINGS,
+    DemoScene,
+    figures_row,
+    pick_objects,
+)
 from gfp_grasp.demo.jobs import EYES, recorded_scene, simulated_scene
 from gfp_grasp.demo.page import write_page
+from gfp_grasp.demo.room import room_scene
 
 Job = Callable[[], DemoScene]
 
@@ -87,7 +97,17 @@ def _simulated_jobs(out: Path, config: CompleteConfig | None, seed: int) -> list
         config=config,
         seed=seed,
     )
-    return [("a clutter of four", clutter), ("a single mug", single)]
+    room = partial(
+        room_scene,
+        "A room",
+        "A table with five objects in a room: the floor and a second table are in view. The picture becomes one scene, "
+        "which stands in MuJoCo.",
+        pick_objects(ROOM, seed=seed),
+        folder=out / "room",
+        config=config,
+        seed=seed,
+    )
+    return [("a clutter of four", clutter), ("a single mug", single), ("a room", room)]
 
 
 def _recorded_jobs(

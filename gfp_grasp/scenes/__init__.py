@@ -9,22 +9,30 @@ from gfp_grasp.scenes.world import place_clutter
 
 if TYPE_CHECKING:
     from gfp_grasp.scenes.build import add_body, build_scene, compile_scene, save_scene
-    from gfp_grasp.scenes.check import BodyCheck, check_file, check_model
+    from gfp_grasp.scenes.check import BodyCheck, SettledScene, check_file, check_model, settle_file
     from gfp_grasp.scenes.handles import Handles, gripper_pose, place_gripper
+    from gfp_grasp.scenes.rooms import Room, draw_camera, draw_things, make_room, view_room
     from gfp_grasp.scenes.world import World
 
 _LATER = {
     "BodyCheck": "check",
     "add_body": "build",
+    "SettledScene": "check",
     "check_file": "check",
+    "settle_file": "check",
     "check_model": "check",
     "Handles": "handles",
+    "Room": "rooms",
     "World": "world",
     "build_scene": "build",
+    "draw_camera": "rooms",
+    "draw_things": "rooms",
     "compile_scene": "build",
     "gripper_pose": "handles",
+    "make_room": "rooms",
     "place_gripper": "handles",
     "save_scene": "build",
+    "view_room": "rooms",
 }
 
 __all__ = [
@@ -33,7 +41,9 @@ __all__ = [
     "BodyCheck",
     "Handles",
     "ObjectSource",
+    "Room",
     "SceneObject",
+    "SettledScene",
     "World",
     "add_body",
     "build_scene",
@@ -41,14 +51,19 @@ __all__ = [
     "check_model",
     "class_and_name",
     "compile_scene",
+    "draw_camera",
+    "draw_things",
     "gripper_pose",
     "label_of",
     "load_objects",
+    "make_room",
     "mesh_sha256",
     "place_clutter",
     "place_gripper",
     "save_scene",
+    "settle_file",
     "true_object",
+    "view_room",
 ]
 
 

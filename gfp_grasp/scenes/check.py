@@ -41,6 +41,21 @@ class BodyCheck:
         return self.tilt_deg < MOST_TILT_DEG and self.travel_m < MOST_TRAVEL_M
 
 
+@dataclass(frozen=True, eq=False)
+class SettledScene:
+    """A simulator's scene after a time.
+
+    Attributes:
+        model: The scene.
+        data: Its state after the time.
+        checks: How its free bodies behaved.
+    """
+
+    model: mujoco.MjModel
+    data: mujoco.MjData
+    checks: tuple[BodyCheck, ...]
+
+
 def check_file(path: str | Path, *, seconds: float = SECONDS) -> tuple[BodyCheck, ...]:
     """Load an MJCF or URDF file as it is, and see how its free bodies behave.
 
@@ -56,6 +71,11 @@ def check_file(path: str | Path, *, seconds: float = SECONDS) -> tuple[BodyCheck
         InvalidScene: Nothing in it is free to move.
         InvalidOption: The time is not a finite positive number.
     """
+    return settle_file(path, seconds=seconds).checks
+
+
+def settle_file(path: str | Path, *, seconds: float = SECONDS) -> SettledScene:
+    """The scene of a file after some seconds in its own options; see `check_file`."""
     path = Path(path)
     if not path.is_file():
         raise UnreadableFile(f"{path} is no file")
@@ -66,11 +86,15 @@ def check_file(path: str | Path, *, seconds: float = SECONDS) -> tuple[BodyCheck
         model = spec.compile()
     except ValueError as error:
         raise UnreadableFile(f"MuJoCo does not read {path}: {error}") from error
-    return check_model(model, seconds=seconds)
+    return _settled(model, seconds)
 
 
 def check_model(model: mujoco.MjModel, *, seconds: float = SECONDS) -> tuple[BodyCheck, ...]:
     """How the free bodies of a model behave from its first state on; see `check_file`."""
+    return _settled(model, seconds).checks
+
+
+def _settled(model: mujoco.MjModel, seconds: float) -> SettledScene:
     if not 0.0 < seconds < np.inf:
         raise InvalidOption(f"seconds is {seconds!r}; a finite positive number is expected")
     free = [model.jnt_bodyid[j] for j in range(model.njnt) if model.jnt_type[j] == mujoco.mjtJoint.mjJNT_FREE]
@@ -93,7 +117,7 @@ def check_model(model: mujoco.MjModel, *, seconds: float = SECONDS) -> tuple[Bod
             travel_m = tilt_deg = np.inf
         name = model.body(body).name or f"body {body}"
         found.append(BodyCheck(name, tilt_deg, travel_m, float(overlap_m[body])))
-    return tuple(found)
+    return SettledScene(model, data, tuple(found))
 
 
 def _simulated(model: mujoco.MjModel, data: mujoco.MjData, seconds: float) -> bool:
