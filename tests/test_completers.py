@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import own_completers
@@ -12,8 +13,8 @@ from scipy.spatial import KDTree
 from gfp_grasp.complete import Completion
 from gfp_grasp.completers import COMPLETERS, Oracle, get_completer, mirror_cloud, needs_class
 from gfp_grasp.errors import InvalidCloud, InvalidMesh, InvalidOption, UnknownCompleter
-from gfp_grasp.transforms import rotation_about
-from gfp_grasp.types import CollisionMesh, ConvexPart, Detection, OrientedBox, PointCloud, SupportPlane
+from gfp_grasp.transforms import apply_T, make_T, rotation_about
+from gfp_grasp.types import CollisionMesh, ConvexPart, Detection, OrientedBox, PointCloud, SupportPlane, TrueObject
 
 UP = np.array([0.0, 0.0, 1.0])
 RADIUS_M, HEIGHT_M = 0.04, 0.12
@@ -74,6 +75,14 @@ def test_hulls_know_what_was_seen_and_cost_no_decomposition(name):
     assert completion.collision.error_m == (0.0, 0.0, 0.0)
     assert len(completion.parts) == 1
     assert completion.parts[0].is_convex
+
+
+def test_known_parts_keep_to_what_a_scene_allows():
+    whole = get_completer("mirror")(detection_of(front_of_cylinder()))
+    within = replace(whole, bounds=np.array([[1.0, 0.0, 0.0, 0.01]]))
+    assert whole.parts[0].bounds[1, 0] > RADIUS_M - 0.002
+    assert within.parts[0].bounds[1, 0] == pytest.approx(0.01)
+    np.testing.assert_allclose(within.parts[0].bounds[0], whole.parts[0].bounds[0])
 
 
 def test_sigma_of_a_hull_is_the_sensors_and_a_tenth_of_the_way_to_the_nearest_point():
@@ -159,6 +168,18 @@ def test_the_oracle_alone_is_given_the_truth():
     completion = oracle(detection_of(front_of_cylinder()), mesh, parts)
     assert completion.mesh is mesh
     assert completion.collision is parts
+
+
+def test_the_oracle_puts_a_true_object_where_it_stands():
+    mesh, T = truth(), make_T(rotation_about((0, 0, 1), 0.5), (0.3, -0.2, 0.5))
+    parts = CollisionMesh((ConvexPart(mesh.vertices, mesh.faces),), (0.1, 0.2, 0.3), "cuts", 4.0, {"note": 5})
+    known = TrueObject("can", "", mesh, parts, 0.3, 0.5)
+    completion = Oracle().placed(detection_of(front_of_cylinder()), known, T)
+    np.testing.assert_allclose(completion.mesh.vertices, apply_T(T, np.asarray(truth().vertices)))
+    np.testing.assert_array_equal(mesh.vertices, truth().vertices)
+    placed = completion.collision
+    np.testing.assert_allclose(placed.parts[0].vertices, completion.mesh.vertices)
+    assert (placed.error_m, placed.made_by, placed.seconds, placed.notes) == ((0.1, 0.2, 0.3), "cuts", 4.0, {"note": 5})
 
 
 def test_the_oracle_refuses_to_guess():

@@ -93,6 +93,16 @@ def test_overlap_is_the_deepest_with_anything_at_the_start():
     found = check_model(model_of(*boxes), seconds=0.002)
     assert [body.name for body in found] == ["a", "b", "c", "d"]
     assert [body.overlap_m for body in found] == pytest.approx([0.002, 0.007, 0.007, 0.0], abs=1e-6)
+    assert [body.neighbour_m for body in found] == pytest.approx([0.0, 0.007, 0.007, 0.0], abs=1e-6)
+
+
+def test_what_can_move_is_a_neighbour_and_what_is_fixed_to_the_world_is_none():
+    fixed = f'<body name="fixed" pos="0 0 0.2">{BOX}</body>'
+    hinged = '<body name="door" pos="0.037 0.5 0.2"><joint type="hinge" axis="0 0 1"/>BOX</body>'.replace("BOX", BOX)
+    found = check_model(model_of(fixed, free("a", "0.035 0 0.2"), hinged, free("b", "0 0.5 0.2")), seconds=0.002)
+    assert [body.name for body in found] == ["a", "b"]
+    assert [body.overlap_m for body in found] == pytest.approx([0.005, 0.003], abs=1e-6)
+    assert [body.neighbour_m for body in found] == pytest.approx([0.0, 0.003], abs=1e-6)
 
 
 def test_bodies_without_a_name_are_numbered_and_others_than_free_ones_left_out():

@@ -10,6 +10,7 @@ import numpy as np
 import trimesh
 from scipy.spatial import QhullError
 
+from gfp_grasp.collision import within_bounds
 from gfp_grasp.complete import CompleteConfig, complete_detection
 from gfp_grasp.completion import Completion
 from gfp_grasp.deform import DeformConfig
@@ -19,7 +20,8 @@ from gfp_grasp.meshes import check_mesh, make_solid
 from gfp_grasp.plugins import imported_function
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.register import icp_config, pcrnet_config
-from gfp_grasp.types import CollisionMesh, CompletedShape, ConvexPart, Detection
+from gfp_grasp.transforms import apply_T
+from gfp_grasp.types import CollisionMesh, CompletedShape, ConvexPart, Detection, TrueObject
 
 Completer = Callable[[Detection], Completion]
 
@@ -36,8 +38,8 @@ class CompletionInParts(Completion):
 
     @cached_property
     def collision(self) -> CollisionMesh:
-        """The known parts."""
-        return self.known_parts
+        """The known parts, within the bounds that other objects of a scene set."""
+        return within_bounds(self.known_parts, self.bounds) if len(self.bounds) else self.known_parts
 
 
 def mark_shape(mesh: trimesh.Trimesh, detection: Detection) -> CompletedShape:
@@ -151,6 +153,14 @@ class Oracle:
         if truth is None or collision is None:
             raise InvalidOption("the oracle needs the true mesh and its convex parts: use it in a simulator only")
         return CompletionInParts(mark_shape(truth, detection), detection, collision)
+
+    def placed(self, detection: Detection, truth: TrueObject, T_world_object: np.ndarray) -> Completion:
+        """Complete an object by what the simulator holds of it, at its pose (4, 4)."""
+        known = truth.collision
+        parts = tuple(ConvexPart(apply_T(T_world_object, part.vertices), part.faces) for part in known.parts)
+        mesh = truth.mesh.copy()
+        mesh.apply_transform(T_world_object)
+        return self(detection, mesh, replace(known, parts=parts))
 
 
 # Completers that fit a primitive, and how each of them does it.

@@ -17,8 +17,8 @@ from gfp_grasp.envs.config import EnvConfig
 from gfp_grasp.errors import AssetMissing, GfpGraspError, NothingDetected
 from gfp_grasp.recognition import recognise
 from gfp_grasp.scenes import TARGET, World
-from gfp_grasp.transforms import apply_T, make_T, rotation_about
-from gfp_grasp.types import CollisionMesh, ConvexPart, DepthImage, Detection, TrueObject, pixels_of
+from gfp_grasp.transforms import make_T, rotation_about
+from gfp_grasp.types import DepthImage, Detection, TrueObject, pixels_of
 
 _UP = np.array([0.0, 0.0, 1.0])
 # The camera looks at this share of the object's height.
@@ -176,15 +176,9 @@ def _mask_of(detection: Detection, image: DepthImage) -> np.ndarray:
 
 
 def _complete(complete: Completer, detection: Detection, truth: TrueObject, T_world_object: np.ndarray) -> Completion:
-    if not isinstance(complete, Oracle):
-        return complete(detection)
-    known = truth.collision
-    parts = tuple(ConvexPart(apply_T(T_world_object, part.vertices), part.faces) for part in known.parts)
-    return complete(
-        detection,
-        _at(truth, T_world_object),
-        CollisionMesh(parts, known.error_m, known.made_by, known.seconds, known.notes),
-    )
+    if isinstance(complete, Oracle):
+        return complete.placed(detection, truth, T_world_object)
+    return complete(detection)
 
 
 def _at(truth: TrueObject, T_world_object: np.ndarray) -> trimesh.Trimesh:

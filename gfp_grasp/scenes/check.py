@@ -28,12 +28,14 @@ class BodyCheck:
         tilt_deg: Angle between its upright before and after.
         travel_m: Way of its centre of mass and of the origin of its frame, whichever is longer.
         overlap_m: How deep it overlapped with anything at the start.
+        neighbour_m: How deep it overlapped with another body that can move at the start.
     """
 
     name: str
     tilt_deg: float
     travel_m: float
     overlap_m: float
+    neighbour_m: float = 0.0
 
     @property
     def stands(self) -> bool:
@@ -102,7 +104,7 @@ def _settled(model: mujoco.MjModel, seconds: float) -> SettledScene:
         raise InvalidScene("no body of the scene has a free joint: nothing in it can stand or fall")
     data = mujoco.MjData(model)
     mujoco.mj_forward(model, data)
-    overlap_m = _overlaps_m(model, data)
+    overlap_m, neighbour_m = _overlaps_m(model, data)
     before = data.xmat.reshape(-1, 3, 3).copy(), data.xpos.copy(), data.xipos.copy()
     gravity = np.array(model.opt.gravity)
     up = -gravity / np.linalg.norm(gravity) if gravity.any() else np.array([0.0, 0.0, 1.0])
@@ -116,7 +118,7 @@ def _settled(model: mujoco.MjModel, seconds: float) -> SettledScene:
         if not sound:
             travel_m = tilt_deg = np.inf
         name = model.body(body).name or f"body {body}"
-        found.append(BodyCheck(name, tilt_deg, travel_m, float(overlap_m[body])))
+        found.append(BodyCheck(name, tilt_deg, travel_m, float(overlap_m[body]), float(neighbour_m[body])))
     return SettledScene(model, data, tuple(found))
 
 
@@ -133,14 +135,15 @@ def _simulated(model: mujoco.MjModel, data: mujoco.MjData, seconds: float) -> bo
     return True
 
 
-def _overlaps_m(model: mujoco.MjModel, data: mujoco.MjData) -> np.ndarray:
-    """Deepest overlap of each body (b,) with anything, m."""
-    deepest = np.zeros(model.nbody)
+def _overlaps_m(model: mujoco.MjModel, data: mujoco.MjData) -> tuple[np.ndarray, np.ndarray]:
+    """Deepest overlap of each body (b,) with anything, m, and that with what is no part of the world."""
+    deepest, with_others = np.zeros(model.nbody), np.zeros(model.nbody)
     for contact in data.contact:
-        for geom in (contact.geom1, contact.geom2):
-            body = model.geom_bodyid[geom]
-            deepest[body] = max(deepest[body], -float(contact.dist))
-    return deepest
+        bodies = model.geom_bodyid[[contact.geom1, contact.geom2]]
+        deepest[bodies] = np.maximum(deepest[bodies], -float(contact.dist))
+        if model.body_weldid[bodies].all():
+            with_others[bodies] = np.maximum(with_others[bodies], -float(contact.dist))
+    return deepest, with_others
 
 
 def _has_world(path: Path) -> bool:
