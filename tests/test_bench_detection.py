@@ -10,7 +10,9 @@ import trimesh
 from clocks import SteadyClock
 from scipy.spatial import KDTree
 
+from gfp_grasp import shapes
 from gfp_grasp.bench import detection
+from gfp_grasp.bench.clutter import draw_clutter
 from gfp_grasp.bench.detection import bench_detection, best_iou, match_clutter, match_table, name_capture, name_views
 from gfp_grasp.camera import SensorModel
 from gfp_grasp.errors import NothingDetected
@@ -233,7 +235,7 @@ def test_clutter_is_seen_by_two_sensors_in_turn_and_small_masks_are_left_out(mon
         cameras.append(how)
         return np.eye(4)
 
-    monkeypatch.setattr(detection, "_clutter", lambda rng: [None] * 3)
+    monkeypatch.setattr(detection, "draw_clutter", lambda rng: [SimpleNamespace(mesh=None)] * 3)
     monkeypatch.setattr(detection, "render_mesh_view", render)
     monkeypatch.setattr(detection, "apply_sensor", sense)
     monkeypatch.setattr(detection, "detect_objects", detect)
@@ -254,7 +256,7 @@ def test_a_mask_of_a_hundred_pixels_counts(monkeypatch):
     index[0, :100], index[1, :100] = 0, 1
     depth = np.ones((240, 320))
     depth[1, 0] = 0.0  # 99 pixels of the second object came back
-    monkeypatch.setattr(detection, "_clutter", lambda rng: [None] * 2)
+    monkeypatch.setattr(detection, "draw_clutter", lambda rng: [SimpleNamespace(mesh=None)] * 2)
     monkeypatch.setattr(
         detection, "render_mesh_view", lambda *_, **__: (DepthImage(depth, np.eye(3), np.eye(4)), index)
     )
@@ -274,7 +276,7 @@ KNOWN_CLUTTER = [
 
 
 def test_clutter_stands_apart_on_the_table():
-    scenes = [detection._clutter(np.random.default_rng(seed)) for seed in range(2, 7)]
+    scenes = [[one.mesh for one in draw_clutter(np.random.default_rng(seed))] for seed in range(2, 7)]
     np.testing.assert_allclose([1e3 * np.ravel(mesh.bounds) for mesh in scenes[0]], KNOWN_CLUTTER, atol=0.1)
     gaps = []
     for meshes in scenes:
@@ -288,10 +290,11 @@ def test_clutter_stands_apart_on_the_table():
 def test_clutter_that_finds_no_room_is_left_out(monkeypatch):
     """Tall cylinders of 100 mm radius: where the first two leave no room, no third stands."""
     disc = trimesh.creation.cylinder(0.1, 0.4)
+    disc.apply_translation((0.0, 0.0, 0.2))
     least = []
-    monkeypatch.setattr(detection, "make_shape", lambda family, seed: SimpleNamespace(mesh=disc))
+    monkeypatch.setattr(shapes, "make_shape", lambda family, seed: SimpleNamespace(mesh=disc))
     for seed in range(12):
-        middles = [mesh.bounds.mean(axis=0)[:2] for mesh in detection._clutter(np.random.default_rng(seed))]
+        middles = [one.mesh.bounds.mean(axis=0)[:2] for one in draw_clutter(np.random.default_rng(seed))]
         assert len(middles) in (1, 2, 3, 4)
         assert np.abs(middles).max() <= 0.18
         apart = [np.linalg.norm(a - b) for n, a in enumerate(middles) for b in middles[:n]]

@@ -19,6 +19,7 @@ from gfp_grasp.deform import DeformConfig
 from gfp_grasp.errors import GfpGraspError
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.register import FitConfig, icp_config, pcrnet_config
+from gfp_grasp.train import across_edge
 from gfp_grasp.transforms import make_T, rotation_about
 from gfp_grasp.types import DepthImage, PointCloud
 
@@ -122,6 +123,38 @@ def test_a_board_hides_half_of_the_object_five_centimetres_before_it():
         angles.append(np.arctan2(19.5 - rows.mean(), 29.5 - columns.mean()))
     assert (min(angles), max(angles)) == (pytest.approx(-np.pi, abs=0.4), pytest.approx(np.pi, abs=0.4))
     np.testing.assert_array_equal(hidden.K, image.K)
+
+
+@pytest.mark.parametrize("share", [0.3, 0.5, 0.7])
+def test_a_board_hides_the_share_that_is_asked_for_and_half_as_it_always_did(share):
+    index = np.full((40, 60), -1)
+    index[10:30, 20:41] = 0
+    index[30:33, 24:29] = 0
+    image = DepthImage(np.full((40, 60), 0.8), intrinsics(60, 40, 35.0), np.eye(4))
+    for seed in range(200):
+        left = methods._behind_a_board(image, index, np.random.default_rng(seed), share=share)[1]
+        assert (left[index == 0] == 1).mean() == pytest.approx(share, abs=0.01)
+        if share == 0.5:
+            along = across_edge(index.shape, np.random.default_rng(seed).uniform(0, 2 * np.pi))
+            np.testing.assert_array_equal(left == 1, along < np.median(along[index == 0]))
+
+
+def test_a_view_has_its_picture_and_hides_half_of_it_where_nothing_else_is_said(seen, monkeypatch):
+    shares = []
+
+    def behind(image, index, rng, *, share):
+        shares.append(share)
+        return image, index
+
+    monkeypatch.setattr(methods, "_behind_a_board", behind)
+    view = view_object(l_shape(), np.random.default_rng(0), protocol="hidden")
+    view_object(l_shape(), np.random.default_rng(0), protocol="hidden", hidden_share=0.7)
+    view_object(l_shape(), np.random.default_rng(0), hidden_share=0.7)
+    assert shares == [0.5, 0.7]
+    assert view.image is not None
+    assert view.mask is not None
+    assert view.mask.sum() == len(view.cloud.points) == 12
+    np.testing.assert_allclose(view.image.points()[view.mask], view.cloud.points)
 
 
 def test_points_are_in_sight_unless_they_face_away_or_something_is_before_them():

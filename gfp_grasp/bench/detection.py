@@ -13,8 +13,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import trimesh
 
+from gfp_grasp.bench.clutter import draw_clutter
 from gfp_grasp.camera import (
     SensorModel,
     apply_sensor,
@@ -26,9 +26,7 @@ from gfp_grasp.camera import (
 from gfp_grasp.detect import classify, detect_objects
 from gfp_grasp.errors import NothingDetected
 from gfp_grasp.primitives import PrimitiveLibrary
-from gfp_grasp.shapes import FAMILIES, make_shape, split_seeds
 from gfp_grasp.train import CACHE, Example, alike_in, assorted_examples, class_examples
-from gfp_grasp.transforms import make_T, rotation_about
 from gfp_grasp.types import DepthImage, Detection, SupportPlane
 
 MATCH_IOU = 0.7
@@ -88,7 +86,7 @@ def match_clutter(num_scenes: int, *, seed: int) -> dict[str, Any]:
     ious = []
     for number in range(num_scenes):
         rng = np.random.default_rng([seed, number])
-        meshes = _clutter(rng)
+        meshes = [placed.mesh for placed in draw_clutter(rng)]
         K = intrinsics(320, 240, 45.0)
         camera = sample_viewpoint(rng, distance_m=rng.uniform(0.6, 0.9))
         image, index = render_mesh_view(meshes, T_world_camera=camera, K=K, width=320, height=240, table_height=0.0)
@@ -105,21 +103,6 @@ def match_clutter(num_scenes: int, *, seed: int) -> dict[str, Any]:
         "matched": matched,
         "median_iou": round(float(np.median(ious)), 3),
     }
-
-
-def _clutter(rng: np.random.Generator) -> list[trimesh.Trimesh]:
-    meshes, circles = [], []
-    for _ in range(int(rng.integers(2, 6))):
-        family = FAMILIES[int(rng.integers(len(FAMILIES)))]
-        mesh = make_shape(family, int(rng.choice(split_seeds(family, "test")))).mesh.copy()
-        radius = float(np.linalg.norm(mesh.vertices[:, :2], axis=1).max())
-        for place in rng.uniform(-0.18, 0.18, (50, 2)):
-            if all(np.linalg.norm(place - other) > radius + r + 0.004 for other, r in circles):
-                mesh.apply_transform(make_T(rotation_about(UP, rng.uniform(0, 2 * np.pi)), (*place, 0.0)))
-                meshes.append(mesh)
-                circles.append((place, radius))
-                break
-    return meshes
 
 
 def best_iou(mask: np.ndarray, found: tuple[Detection, ...]) -> float:

@@ -43,15 +43,24 @@ class ObjectView:
         mesh: The true mesh, in the world's frame.
         T_world_object: (4, 4) pose of the object on the table.
         cloud: Points that the camera saw, with its viewpoint.
+        image: The depth picture; None where a view is made of points alone.
+        mask: (h, w) bool, the object's pixels in it that came back.
     """
 
     mesh: trimesh.Trimesh
     T_world_object: np.ndarray
     cloud: PointCloud
+    image: DepthImage | None = None
+    mask: np.ndarray | None = None
 
 
 def view_object(
-    mesh: trimesh.Trimesh, rng: np.random.Generator, *, protocol: str = "standard", noise_m: float = 0.001
+    mesh: trimesh.Trimesh,
+    rng: np.random.Generator,
+    *,
+    protocol: str = "standard",
+    noise_m: float = 0.001,
+    hidden_share: float = 0.5,
 ) -> ObjectView:
     """Put an object on a table of any height, by any yaw, and look at it from 0.6 m, 240x320, 35 degrees field.
 
@@ -62,6 +71,7 @@ def view_object(
             (lying by any roll, or upside down) or "hidden" (half of its pixels behind a nearer board, whose straight
             edge has any direction).
         noise_m: Standard deviation of the depth noise; "noisy" has its own.
+        hidden_share: Share of the pixels that "hidden" hides.
     """
     height = float(rng.uniform(-0.3, 0.9))
     R = rotation_about((0, 0, 1), rng.uniform(0, 2 * np.pi))
@@ -77,9 +87,10 @@ def view_object(
     K = intrinsics(320, 240, 35.0)
     image, index = render_mesh_view([placed], T_world_camera=camera, K=K, width=320, height=240, table_height=height)
     if protocol == "hidden":
-        image, index = _behind_a_board(image, index, rng)
+        image, index = _behind_a_board(image, index, rng, share=hidden_share)
     image = apply_sensor(image, _NOISY if protocol == "noisy" else SensorModel.gaussian(noise_m), rng)
-    return ObjectView(placed, T, cloud_of(image, (index == 0) & (image.depth_m > 0)))
+    mask = (index == 0) & (image.depth_m > 0)
+    return ObjectView(placed, T, cloud_of(image, mask), image, mask)
 
 
 def _fallen(rng: np.random.Generator) -> np.ndarray:
@@ -89,9 +100,11 @@ def _fallen(rng: np.random.Generator) -> np.ndarray:
     return rest_rotation("lying", rng.uniform(0, 2 * np.pi))
 
 
-def _behind_a_board(image: DepthImage, index: np.ndarray, rng: np.random.Generator) -> tuple[DepthImage, np.ndarray]:
+def _behind_a_board(
+    image: DepthImage, index: np.ndarray, rng: np.random.Generator, *, share: float = 0.5
+) -> tuple[DepthImage, np.ndarray]:
     along = across_edge(index.shape, rng.uniform(0, 2 * np.pi))
-    board = along < np.median(along[index == 0])
+    board = along < np.quantile(along[index == 0], share)
     depth = np.where(board, image.depth_m[index == 0].min() - _BOARD_M, image.depth_m)
     return DepthImage(depth.astype(np.float32), image.K, image.T_world_camera), np.where(board, 1, index)
 
