@@ -16,8 +16,11 @@ from gfp_grasp.bench.completion import CompletionConfig
 from gfp_grasp.bench.hollow import HollowRow
 from gfp_grasp.bench.hostile import HostileConfig, HostileRow
 from gfp_grasp.bench.methods import FORMER_NAMES
+from gfp_grasp.bench.ready import ReadyConfig, by_group
+from gfp_grasp.bench.ready_rows import SceneRow, ViewRow
 from gfp_grasp.bench.registration import FitRow, RegistrationConfig
 from gfp_grasp.bench.rows import CompletionRow
+from gfp_grasp.completers import COMPLETERS
 from gfp_grasp.envs import TrialSettings
 from gfp_grasp.score import Report, ScoreConfig, ScoreRow
 from gfp_grasp.train import CACHE, ViewsConfig
@@ -103,6 +106,17 @@ def test_figures_of_scores_follow_from_their_rows(name: str):
     assert json.loads(again.to_json()) == report
 
 
+@pytest.mark.skipif(not (RESULTS / "ready.json").is_file(), reason="readiness has not been measured yet")
+def test_figures_of_readiness_follow_from_their_rows_and_were_made_with_the_defaults():
+    report = committed("ready")
+    views = [ViewRow(**row) for row in report["trials"]]
+    scenes = [SceneRow(**row) for row in report["scenes"]]
+    assert [json_of(row.to_json()) for row in (*views, *scenes)] == [*report["trials"], *report["scenes"]]
+    assert by_group(views, scenes) == report["rows"]
+    assert asdict(ReadyConfig()).items() <= report["settings"].items()
+    assert report["settings"]["completers"] == list(COMPLETERS)
+
+
 def test_the_ablation_was_made_with_the_defaults_and_has_every_row():
     report = committed("ablation")
     assert report["settings"] == {**asdict(AblationConfig()), "iterations": list(ITERATIONS)}
@@ -166,6 +180,7 @@ def test_the_other_benches_are_short_without_options():
         "config": RegistrationConfig(views=4, limit=None, seed=0, mean_size=False),
         **QUIET,
     }
+    assert defaults("bench_ready") == {"data": None, "completers": COMPLETERS, "config": ReadyConfig(), **QUIET}
     assert defaults("bench_ablation") == {
         "config": AblationConfig(),
         "runs": Path("runs"),

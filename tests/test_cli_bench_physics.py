@@ -6,7 +6,8 @@ from pathlib import Path
 import pytest
 from recorded_calls import recorded, rows_of, run
 
-from gfp_grasp.bench import PARTS_METHODS, HostileConfig
+from gfp_grasp.bench import PARTS_METHODS, HostileConfig, ReadyConfig
+from gfp_grasp.completers import COMPLETERS
 
 
 @pytest.fixture(autouse=True)
@@ -18,6 +19,46 @@ def named_bars(monkeypatch: pytest.MonkeyPatch) -> None:
 @pytest.fixture
 def json_file(tmp_path: Path) -> Path:
     return tmp_path / "figures.json"
+
+
+ONE_VIEW = {"chamfer_median_mm": 1.234, "chamfer_mean_mm": 2.345, "under_2_mm": 0.5, "failed": 0, "not_simulated": 1}
+AT_REST = {"tilt_median_deg": 0.56, "travel_median_mm": 0.78, "stands": 0.25}
+
+
+def test_ready_hands_on_every_option_prints_each_group_and_writes_the_pages(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], json_file: Path, tmp_path: Path
+) -> None:
+    row = {**ONE_VIEW, **AT_REST, "hidden": {}, "seconds_median": 0.3, "seconds_p95": 0.4}
+    report = {"rows": {"procedural": {"own": row}, "real": {"own": row}}, "trials": [{"view": 1}]}
+    bench = recorded(monkeypatch, "gfp_grasp.bench.ready.bench_ready", report)
+    checked = recorded(monkeypatch, "gfp_grasp.bench.ready_table.check_pages")
+    written = recorded(monkeypatch, "gfp_grasp.bench.ready_table.write_pages")
+    words = "bench ready --completers own,other --views 7 --scenes 3 --workers 2 --seed 5 --page a.md --page b.md"
+    assert run(words, "--data", tmp_path, "--json", json_file) == 0
+    how = {"completers": ("own", "other"), "config": ReadyConfig(views=7, scenes=3, seed=5), "workers": 2}
+    assert bench.only == ((tmp_path,), {**how, "progress": "bar of views and scenes"})
+    pages = [Path("a.md"), Path("b.md")]
+    assert checked.only == ((pages,), {})
+    assert written.only == ((report, json_file, pages), {})
+    printed = capsys.readouterr().out
+    assert printed.index("procedural") < printed.index("real")
+    assert rows_of(printed) == 2 * [
+        "own       │  1.23, 2.35 │   50 % │ 0.6 (1 failed) │        0.8 │  25 % │ 0.30, 0.40"
+    ]
+    assert json.loads(json_file.read_text()) == report
+
+
+def test_ready_takes_all_completers_and_a_few_views_where_nothing_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = recorded(monkeypatch, "gfp_grasp.bench.ready.bench_ready", {"rows": {}})
+    assert run("bench ready") == 0
+    how = {"completers": COMPLETERS, "config": ReadyConfig(), "workers": 1}
+    assert bench.only == ((None,), {**how, "progress": "bar of views and scenes"})
+
+
+def test_a_page_names_the_file_of_its_figures(monkeypatch: pytest.MonkeyPatch) -> None:
+    bench = recorded(monkeypatch, "gfp_grasp.bench.ready.bench_ready")
+    assert run("bench ready --page README.md") == 2
+    assert bench.calls == []
 
 
 def test_collision_hands_on_every_option_and_prints_a_dash_for_what_was_not_measured(

@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from gfp_grasp.bench.hollow import bench_hollow
     from gfp_grasp.bench.hostile import HostileConfig, bench_hostile
     from gfp_grasp.bench.methods import BRIEF, METHODS
+    from gfp_grasp.bench.ready import ReadyConfig, bench_ready
+    from gfp_grasp.bench.ready_table import check_pages, ready_cells, ready_headings, write_pages
     from gfp_grasp.bench.registration import RegistrationConfig, bench_registration
     from gfp_grasp.bench.speed import bench_resets, bench_speed, bench_stability
     from gfp_grasp.bench.trial import bench_trial
@@ -26,6 +28,7 @@ _HOMES = {
     "AblationConfig": ("ablation", "AblationConfig"),
     "CompletionConfig": ("completion", "CompletionConfig"),
     "HostileConfig": ("hostile", "HostileConfig"),
+    "ReadyConfig": ("ready", "ReadyConfig"),
     "RegistrationConfig": ("registration", "RegistrationConfig"),
     "bench_ablation": ("ablation", "bench_ablation"),
     "bench_collision": ("collision", "bench_collision"),
@@ -33,11 +36,16 @@ _HOMES = {
     "bench_detection": ("detection", "bench_detection"),
     "bench_hollow": ("hollow", "bench_hollow"),
     "bench_hostile": ("hostile", "bench_hostile"),
+    "bench_ready": ("ready", "bench_ready"),
     "bench_registration": ("registration", "bench_registration"),
     "bench_resets": ("speed", "bench_resets"),
     "bench_speed": ("speed", "bench_speed"),
     "bench_stability": ("speed", "bench_stability"),
     "bench_trial": ("trial", "bench_trial"),
+    "check_pages": ("ready_table", "check_pages"),
+    "ready_cells": ("ready_table", "ready_cells"),
+    "ready_headings": ("ready_table", "ready_headings"),
+    "write_pages": ("ready_table", "write_pages"),
 }
 
 __all__ = [
@@ -47,6 +55,7 @@ __all__ = [
     "AblationConfig",
     "CompletionConfig",
     "HostileConfig",
+    "ReadyConfig",
     "RegistrationConfig",
     "bench_ablation",
     "bench_collision",
@@ -54,11 +63,16 @@ __all__ = [
     "bench_detection",
     "bench_hollow",
     "bench_hostile",
+    "bench_ready",
     "bench_registration",
     "bench_resets",
     "bench_speed",
     "bench_stability",
     "bench_trial",
+    "check_pages",
+    "ready_cells",
+    "ready_headings",
+    "write_pages",
 ]
 
 
