@@ -82,6 +82,15 @@ def test_a_box_stands_and_one_on_its_edge_tips_onto_its_side():
     assert leaning["travel_m"] > 0.02
 
 
+def test_a_floor_that_is_not_level_counts_as_tilt():
+    up = rotation_about((0, 1, 0), np.radians(12.0)) @ UP  # what stands on this floor stands by 12 degrees askew
+    turned = box_completion(turn=rotation_about((0, 1, 0), np.radians(12.0)))
+    found = replace(turned.detection, up=up, support=SupportPlane(up, 0.0))
+    figures = measured(replace(turned, detection=found))
+    assert (figures["tilt_deg"], figures["stands"]) == (pytest.approx(12.0, abs=0.1), False)
+    assert figures["travel_m"] < 0.001
+
+
 def test_what_cannot_be_simulated_has_a_distance_and_says_why(monkeypatch):
     def refuse(*_, **__):
         raise InvalidMesh("a sliver")

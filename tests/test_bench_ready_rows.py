@@ -1,12 +1,13 @@
 """Figures of the bench of readiness from rows made by hand, and the tables that pages show."""
 
 import json
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from gfp_grasp.bench.ready import by_group
+from gfp_grasp.bench.ready import ReadyConfig, by_group
 from gfp_grasp.bench.ready_rows import SceneRow, ViewRow, summarise
 from gfp_grasp.bench.ready_table import check_pages, ready_cells, ready_headings, with_tables, write_pages
 from gfp_grasp.errors import InvalidOption
@@ -137,7 +138,7 @@ def report(*names: str) -> dict[str, Any]:
     """A report on procedural views, and on one real view without scenes."""
     procedural = {name: summarise([*WHOLE, *HALF], SCENES) for name in names}
     real = {name: summarise([view(chamfer_m=0.003)], []) for name in names}
-    settings = {"views": 4, "objects": {"procedural": 3, "real": 1}, "machine": "abacus"}
+    settings = {**asdict(ReadyConfig(views=4)), "objects": {"procedural": 3, "real": 1}, "machine": "abacus"}
     return {"settings": settings, "rows": {"procedural": procedural, "real": real}}
 
 
@@ -161,7 +162,8 @@ def test_tables_stand_between_the_marks_of_a_page_and_nowhere_else():
     lines = first.split("\n")
     assert lines[0] == " procedural: b a -->"
     caption = " ".join(lines[2:5])
-    assert ", on 4 views of 3 procedural objects and on 8 objects in 2 scenes (`gfp-grasp bench ready`, " in caption
+    assert ", on 4 views of 3 procedural objects and on 8 objects in 2 scenes (" in caption
+    assert "(`gfp-grasp bench ready --data FOLDER --views 4`, " in caption
     assert "abacus, [results/own.json](../results/own.json)):" in caption
     assert max(map(len, lines[2:5])) <= 120
     table = [line for line in lines if line.startswith("|")]
@@ -169,7 +171,7 @@ def test_tables_stand_between_the_marks_of_a_page_and_nowhere_else():
     assert table[1] == "|" + 10 * " --- |"
     assert [line.split(" | ")[0] for line in table[2:]] == ["| b", "| a"]
     assert [line.split(" | ")[0] for line in second.split("\n") if line.startswith("| ")][2:] == ["| a", "| b", "| c"]
-    assert "1 real objects (`gfp-grasp bench ready --data FOLDER`" in second.replace("\n", " ")
+    assert "1 real objects (`gfp-grasp bench ready --data FOLDER --views 4`" in second.replace("\n", " ")
     assert "cut" not in second
     assert with_tables(text, report("a", "b", "c"), "../results/own.json") == text
     empty = with_tables(text, {"rows": {}}, "")

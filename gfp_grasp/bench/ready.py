@@ -208,8 +208,14 @@ def _figures(answer: SightAnswer, truth: np.ndarray, rng: np.random.Generator) -
         return {**figures, "error": type(error).__name__}
     if not np.isfinite(body.tilt_deg):
         return {**figures, "error": "BrokeDown"}
+    # The floor of the file is the support that was found, which need not be level.
+    body = replace(body, tilt_deg=body.tilt_deg + _off_level_deg(answer.completion.detection.up))
     moved = {"tilt_deg": round(body.tilt_deg, 3), "travel_m": round(body.travel_m, 6)}
     return {**figures, **moved, "stands": body.stands}
+
+
+def _off_level_deg(up: np.ndarray) -> float:
+    return float(np.degrees(np.arctan2(np.linalg.norm(up[:2]), up[2])))
 
 
 def _check(completed: Completion | CompletedScene, **how: float) -> tuple[BodyCheck, ...]:

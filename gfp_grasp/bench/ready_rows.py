@@ -26,7 +26,7 @@ class ViewRow(Row):
         hidden: Share of the object's pixels behind a board.
         completer: Name of the completer.
         chamfer_m: Mean of both mean nearest distances between the completion and the truth, m.
-        tilt_deg: Tilt after 2 s in MuJoCo.
+        tilt_deg: Tilt after 2 s in MuJoCo, and that of the file's floor against the true table.
         travel_m: Way in these 2 s, m.
         stands: Whether both are small.
         seconds: Time from the picture to the mesh and its convex parts; None for the truth itself.

@@ -11,10 +11,12 @@ from __future__ import annotations
 import re
 import textwrap
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from os.path import relpath
 from pathlib import Path
 from typing import Any
 
+from gfp_grasp.bench.ready import ReadyConfig
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.journal import write_whole
 
@@ -108,7 +110,10 @@ def _caption(report: Mapping[str, Any], group: str, link: str) -> str:
     said = f"{_WISHES}, on {settings['views']} views of {settings['objects'][group]} {group} objects"
     if "scenes" in first:
         said += f" and on {first['objects']} objects in {first['scenes']} scenes"
-    command = "gfp-grasp bench ready" + (" --data FOLDER" if group != next(iter(report["rows"])) else "")
+    command = "gfp-grasp bench ready" + (" --data FOLDER" if len(report["rows"]) > 1 else "")
+    for name, default in asdict(ReadyConfig()).items():
+        if settings[name] != default:
+            command += f" --{name} {settings[name]}"
     text = f"{said} (`{command}`, {settings['machine']}, [results/{Path(link).name}]({link})):"
     return textwrap.fill(text, _WIDTH, break_long_words=False, break_on_hyphens=False)
 
