@@ -52,3 +52,10 @@ def trough() -> tuple[trimesh.Trimesh, tuple[ConvexPart, ...]]:
         box_part([0, y, 0], [x, y + t, z]),
     )
     return solid, parts
+
+
+def together(*meshes: trimesh.Trimesh) -> trimesh.Trimesh:
+    """The meshes as one, each with its own vertices."""
+    starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
+    faces = [mesh.faces + start for mesh, start in zip(meshes, starts, strict=False)]
+    return trimesh.Trimesh(np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(faces), process=False)

@@ -172,8 +172,8 @@ def test_decompose_heeds_its_options_tells_its_stages_and_says_when_the_cache_an
 ) -> None:
     monkeypatch.setenv("GFP_GRASP_CACHE", str(tmp_path / "cache"))
     ring = trimesh.creation.annulus(0.02, 0.05, 0.02, sections=12)
-    ring.export(tmp_path / "ring.3mf" if "3mf" in trimesh.available_formats() else tmp_path / "ring.off")
-    (file,) = tmp_path.glob("ring.*")
+    file = tmp_path / "ring.off"
+    ring.export(file)
     words = ("decompose", file, "-o", tmp_path / "ring.xml", "--threshold", 0.3, "--max-parts", 3, "--time-limit", 90)
     said = []
     for more in ((), (), ("--no-cache",)):

@@ -24,7 +24,8 @@ from gfp_grasp.meshes import (
     surface,
     vertex_normals,
 )
-from gfp_grasp.meshes.solid import _error_m, _filled, _joined, _level, remeshed
+from gfp_grasp.meshes.grid import _level, remeshed
+from gfp_grasp.meshes.solid import _error_m, _filled, _joined
 from gfp_grasp.shapes import make_shape
 from gfp_grasp.transforms import make_T
 
@@ -335,7 +336,7 @@ def test_the_zero_level_of_a_distance_is_a_ball_that_looks_outward():
 
 
 def test_what_is_sealed_becomes_solid_and_a_sheet_a_wall_of_two_cells(monkeypatch):
-    monkeypatch.setattr("gfp_grasp.meshes.solid.NUM_CELLS", 32)
+    monkeypatch.setattr("gfp_grasp.meshes.grid.NUM_CELLS", 32)
     ball = trimesh.creation.icosphere(subdivisions=3, radius=0.05).apply_translation([0.3, 0.1, 0.2])
     sealed = remeshed(ball)
     assert sealed.contains([[0.3, 0.1, 0.2]])[0]

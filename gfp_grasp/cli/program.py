@@ -10,7 +10,8 @@ import typer
 from threadpoolctl import threadpool_limits
 
 from gfp_grasp.cli.bench_physics import bench  # which adds its commands to those of gfp_grasp.cli.bench
-from gfp_grasp.cli.complete import check, complete, decompose, demo, view
+from gfp_grasp.cli.complete import check, complete, demo, view
+from gfp_grasp.cli.meshing import decompose
 from gfp_grasp.cli.score import score
 from gfp_grasp.cli.terminal import say_error
 from gfp_grasp.cli.training import gps, train

@@ -32,9 +32,18 @@ TellStage = Callable[[str], object]
 
 
 def attempted(
-    solid: trimesh.Trimesh, config: DecomposeConfig, started: float, tell: TellStage, cancel: CancelSign | None
+    solid: trimesh.Trimesh,
+    config: DecomposeConfig,
+    started: float,
+    tell: TellStage,
+    cancel: CancelSign | None,
+    *,
+    num_given: int,
 ) -> tuple[CollisionMesh, bool]:
-    """Parts of a solid by the first attempt that gives any, and whether time ran out for one before it."""
+    """Parts of a solid by the first attempt that gives any, and whether time ran out for one before it.
+
+    num_given, the faces of the mesh that the solid was made of, is for the message where none does.
+    """
     lost: list[str] = []
     most = config.max_ch_vertex if config.decimate else None
     step, hurried = 0, False
@@ -86,7 +95,7 @@ def attempted(
     raise DecompositionFailed(
         f"{_NAMES[config.engine]} gave no parts in {len(lost)} of {config.attempts} attempts within "
         f"{config.time_limit_s:g} s ({'; '.join(lost) or 'no time for one'}): raise time_limit_s or "
-        f"memory_limit_mb, or simplify the mesh ({len(solid.vertices)} vertices)"
+        f"memory_limit_mb, or simplify the mesh ({num_given} faces came, the solid made of them has {len(solid.faces)})"
     )
 
 

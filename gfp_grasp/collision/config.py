@@ -67,8 +67,8 @@ class DecomposeConfig:
         apx_mode: Parts are convex hulls ("ch") or boxes ("box").
         seed: Seed of the search.
         real_metric: threshold is in metres.
-        time_limit_s: Seconds for the repair and all attempts together; a repair that takes longer (a soup of triangles
-            can need 15 s) is not cut short, but no attempt follows it.
+        time_limit_s: Seconds for the repair and all attempts together. After half of them the repair skips to its last
+            step, which can need 15 s and is not cut short; where nothing is left then, no attempt follows.
         memory_limit_mb: Address space of the child process in MiB; POSIX only, None for no limit.
         attempts: Largest number of attempts: the first as asked, the second with jitter, the others coarser.
         engine: "coacd", or "vhacd" (an extra of this package), whose time depends on vhacd_resolution.

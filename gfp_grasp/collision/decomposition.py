@@ -80,8 +80,8 @@ def decompose(
         return replace(known, seconds=time.monotonic() - started, notes={**known.notes, "cached": True})
     _whole_hull(used)  # flat things are named as such, before any repair is tried
     tell("repairing")
-    solid, repair_m = make_solid(used)
-    made, hurried = attempted(solid, config, started, tell, cancel)
+    solid, repair_m = make_solid(used, time_limit_s=config.time_limit_s / 2)
+    made, hurried = attempted(solid, config, started, tell, cancel, num_given=len(used.faces))
     made = replace(made, seconds=time.monotonic() - started, notes={**made.notes, "repair_m": repair_m})
     if key is not None and not hurried:
         write_parts(key, made)

@@ -35,7 +35,7 @@ from gfp_grasp.types import CollisionMesh
 
 CACHE_VARIABLE = "GFP_GRASP_CACHE"  # a folder, or "off"
 LARGEST_BYTES = 256 * 2**20  # some 20 000 decompositions of 40 parts
-_FORMAT = "3"  # raise it when the files change, or when the same call gives other parts
+_FORMAT = "4"  # raise it when the files change, or when the same call gives other parts
 _WHEELS = {"coacd": "coacd", "vhacd": "vhacdx"}
 # Nothing else in the folder is ours to remove.
 _OURS = re.compile(r"[0-9a-f]{64}\.npz|[0-9a-f]{64}-\w+\.tmp")
@@ -58,8 +58,11 @@ _warned: set[str] = set()
 
 
 def decomposition_key(mesh: trimesh.Trimesh, config: DecomposeConfig) -> str:
-    """Hash of vertices, faces, all options, the engine and its version: 64 hexadecimal digits."""
-    options = {name: value for name, value in asdict(config).items() if name != "cache"}
+    """Hash of vertices, faces, the options, the engine and its version: 64 hexadecimal digits.
+
+    The time limit is none of them: parts that a lack of time made coarser are not kept.
+    """
+    options = {name: value for name, value in asdict(config).items() if name not in ("cache", "time_limit_s")}
     try:
         wheel = version(_WHEELS[config.engine])
     except PackageNotFoundError:  # built by hand, without metadata

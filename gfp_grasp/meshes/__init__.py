@@ -9,7 +9,7 @@ from gfp_grasp.meshes.load import (
     load_mesh,
     read_content,
 )
-from gfp_grasp.meshes.solid import make_solid
+from gfp_grasp.meshes.solid import Repair, make_solid, repair_mesh
 from gfp_grasp.meshes.surface import (
     crossing_faces,
     graph_laplacian,
@@ -23,6 +23,7 @@ __all__ = [
     "LARGEST_BYTES",
     "READER_ERRORS",
     "SUFFIXES",
+    "Repair",
     "check_mesh",
     "crossing_faces",
     "every_suffix",
@@ -31,6 +32,7 @@ __all__ = [
     "make_solid",
     "neighbour_average",
     "read_content",
+    "repair_mesh",
     "sample_surface",
     "triangle_normals",
     "vertex_normals",
