@@ -15,7 +15,7 @@ from gfp_grasp.clouds import order_points
 from gfp_grasp.collision import CollisionConfig
 from gfp_grasp.completion import CompletedScene, Completion
 from gfp_grasp.deform import DeformConfig, deform
-from gfp_grasp.detect import DetectConfig, Detector, clean_cloud, detect_single, get_detector
+from gfp_grasp.detect import DetectConfig, Detector, clean_cloud, detect_single, get_detector, on_each_other
 from gfp_grasp.errors import FitDiverged, InvalidOption, InvalidView, UnknownCategory
 from gfp_grasp.level import level_frame, make_level_view, mark_observed, move_detection
 from gfp_grasp.meshes import crossing_faces
@@ -164,7 +164,7 @@ def complete_scene(
         raise InvalidView(f"image is a {type(image).__name__}; a gfp_grasp.types.DepthImage is expected")
     checked_pose(image.T_world_camera)
     done, failure = [], None
-    for detection in get_detector(detector)(image, up=checked_direction(up)):
+    for detection in on_each_other(get_detector(detector)(image, up=checked_direction(up))):
         try:
             done.append(complete_detection(detection, config=config, seed=seed))
         except FitDiverged as error:

@@ -211,11 +211,11 @@ class CompletedScene(Sequence[Completion]):
         if not completions:
             return cls((), view, None)
         detections = [completion.detection for completion in completions]
-        support = next((found.support for found in detections if found.support is not None), None)
+        support = lowest_support(completions)
         apart = make_way(
             [completion.shape for completion in completions],
             up=detections[0].up if support is None else support.normal,
-            floor_m=None if support is None else support.height_m,
+            floors_m=[None if found.support is None else found.support.height_m for found in detections],
             sigma_m=detections[0].sensor.sigma_m,
         )
         made = tuple(
@@ -281,6 +281,14 @@ class CompletedScene(Sequence[Completion]):
     def bodies(self) -> list[Body]:
         """What is written of each object."""
         return [completion.body(name) for name, completion in zip(self.names, self.completions, strict=True)]
+
+
+def lowest_support(completions: Sequence[Completion]) -> SupportPlane | None:
+    """The support below all objects, for some may stand on others; None where none is known."""
+    known = [
+        found.support for found in (completion.detection for completion in completions) if found.support is not None
+    ]
+    return min(known, key=lambda support: support.height_m, default=None)
 
 
 def free_name(name: str, taken: Container[str]) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, permutations
 
 import numpy as np
 import trimesh
@@ -26,6 +26,10 @@ _NESTED = 0.8  # share of an object's vertices within another from which on it i
 _SAME_NORMAL = 5  # digits to which the faces of a hull are one side of it
 _LEVEL = 0.9  # cosine between up and the normal of a plane that things stand on
 _LEANING = 0.6  # cosine from which on a plane is rather level than upright
+_RAISED = 8.0  # in multiples of the noise: what stands so high above the support stands on another object,
+_ABOUT = 10.0  # and so far about its foot, whose surface it meets;
+_LIFTED = 25.0  # the top of that, where nobody saw it, comes up by so much at most
+_FACES_UP = 0.3  # z of the normal of a vertex that can carry something
 _MUCH_BETTER = 9.0  # times less cut off, as a sum of squares
 
 
@@ -63,21 +67,26 @@ class Apart:
     gave_way: list[GaveWay]
 
 
-def make_way(shapes: Sequence[CompletedShape], *, up: np.ndarray, floor_m: float | None, sigma_m: float) -> Apart:
+def make_way(
+    shapes: Sequence[CompletedShape], *, up: np.ndarray, floors_m: Sequence[float | None], sigma_m: float
+) -> Apart:
     """Shapes of one frame that do not overlap.
 
     Two that overlap are parted by a plane, one side of either hull or one between the two, that moves least of what was
     seen, and after it least of the rest; whatever lies beyond it is put into it. What is cut off from above stands on
     the plane then, as on a floor. Where what was seen would move by more than 10 mm and by more than the overlap, or
-    where nearly all of an object is within the other or beyond the plane, both stay. Meshes keep their connectivity.
+    where nearly all of an object is within the other or beyond the plane, both stay. What nobody saw of an object
+    comes up to the foot of what it carries. Meshes keep their connectivity.
 
     Args:
         shapes: Completed shapes.
         up: (3,) unit.
-        floor_m: Height of the support along up, or None.
+        floors_m: Height along up of what each shape stands on, another shape or the lowest of all; None where unknown.
         sigma_m: The sensor's noise.
     """
     vertices = [np.array(shape.mesh.vertices) for shape in shapes]
+    known = [height for height in floors_m if height is not None]
+    floor_m = min(known) if known else None
     bounds: list[list[np.ndarray]] = [[] if floor_m is None else [np.append(-up, -floor_m)] for _ in shapes]
     floors: dict[int, float] = {}
     given: list[GaveWay] = []
@@ -103,19 +112,59 @@ def make_way(shapes: Sequence[CompletedShape], *, up: np.ndarray, floor_m: float
                 if n @ up < -_LEVEL:
                     floors[k] = max(floors.get(k, -np.inf), float((vertices[k][step > 0] @ up).max()))
     changed = {way.index for way in given if way.moved}
+    level = rotation_between((0.0, 0.0, 1.0), up)
     for k in changed:
-        level = rotation_between((0.0, 0.0, 1.0), up)
-        height_m = floors.get(k, floor_m)
+        height_m = floors.get(k, floors_m[k])
         if height_m is not None:
             own, faces = vertices[k] @ level, shapes[k].mesh.faces
             lowest_m = float(own[:, 2].min())
             height_m = height_m if lowest_m < height_m + sigma_m else lowest_m  # another object carries it
             vertices[k] = stand_on(own, faces, height_m, sigma_m=sigma_m, turn=False) @ level.T
+    if floor_m is not None:
+        for k, other in permutations(range(len(shapes)), 2):
+            lifted = _carrying(vertices[other] @ level, shapes[other], vertices[k] @ level, floor_m, sigma_m)
+            if lifted is not None:
+                vertices[other] = lifted @ level.T
+                changed.add(other)
     return Apart(
         [_with_vertices(s, vertices[k]) if k in changed else s for k, s in enumerate(shapes)],
         [np.array(own).reshape(-1, 4) for own in bounds],
         given,
     )
+
+
+def _carrying(
+    vertices: np.ndarray, shape: CompletedShape, above: np.ndarray, floor_m: float, sigma_m: float
+) -> np.ndarray | None:
+    """Vertices (v, 3), z up, of a shape with its unseen top at the foot of what stands on it; None where nothing does.
+
+    Args:
+        vertices: (v, 3) m of the shape.
+        shape: Says what of it was seen.
+        above: (n, 3) m, vertices of what may stand on it.
+        floor_m: z of the support of all.
+        sigma_m: The sensor's noise.
+    """
+    foot_m = float(above[:, 2].min())
+    if foot_m < floor_m + _RAISED * sigma_m:
+        return None
+    try:
+        hull = ConvexHull(above[above[:, 2] < foot_m + _CLEARANCE_M, :2])
+    except (QhullError, ValueError):  # a line, or a point
+        return None
+    beyond_m = (vertices[:, :2] @ hull.equations[:, :2].T + hull.equations[:, 2]).max(axis=1)
+    up = vertex_normals(vertices, shape.mesh.faces)[:, 2] > _FACES_UP
+    gap_m = foot_m - vertices[:, 2]
+    about = up & (beyond_m <= _ABOUT * sigma_m)
+    if not about.any() or not -_ALLOWED_M < gap_m[about].min() < _RAISED * sigma_m:
+        return None
+    under = up & (beyond_m <= 0.0)
+    low = under & ~shape.observed & (gap_m > _CLEARANCE_M) & (gap_m < _LIFTED * sigma_m)
+    if not low.any():
+        return None
+    lifted = vertices.copy()
+    lifted[low, 2] = foot_m - _CLEARANCE_M / 2
+    return lifted
 
 
 def _near(a: np.ndarray, b: np.ndarray) -> bool:

@@ -118,12 +118,15 @@ def test_objects_of_a_scene_are_completed_one_by_one_and_those_that_fit_nothing_
 
     monkeypatch.setattr("gfp_grasp.complete.complete_detection", complete)
     monkeypatch.setattr("gfp_grasp.complete.get_detector", lambda detector: detector)
-    detect, config, image = Recorder(["a", "odd", "b"]), CompleteConfig(rival_share=0.5), toy_image()
+    stacked = recorded(monkeypatch, "gfp_grasp.complete.on_each_other", ["a", "odd", "b"])
+    detect, config, image = Recorder(["found"]), CompleteConfig(rival_share=0.5), toy_image()
     with pytest.warns(UserWarning, match="an object was left out: no start converged"):
         made = complete_scene(image, up=(0.0, 2.0, 0.0), detector=detect, config=config, seed=7)
     assert [(completion.category, completion.mesh.centroid[0]) for completion in made] == [("a", 0.0), ("b", 0.2)]
     assert made.view is image
+    assert stacked.only[0] == (["found"],)
     assert [name for name, _ in received] == ["a", "odd", "b"]
+    monkeypatch.setattr("gfp_grasp.complete.on_each_other", tuple)
     assert all(named == {"config": config, "seed": 7} for _, named in received)
     np.testing.assert_array_equal(detect.only[1]["up"], (0.0, 1.0, 0.0))
     with pytest.warns(UserWarning, match="left out"), pytest.raises(FitDiverged, match="no object of the picture"):

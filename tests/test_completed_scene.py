@@ -258,14 +258,14 @@ def test_a_scene_of_completions_holds_what_makes_way_and_where_parts_end(monkeyp
     (asked,), named = make_way.only
     assert asked == [loose.shape, placed.shape]
     np.testing.assert_allclose(named.pop("up"), UP)
-    assert named == {"floor_m": 0.02, "sigma_m": 0.002}
+    assert named == {"floors_m": [None, 0.02], "sigma_m": 0.002}
     assert (scene.view, scene.support, scene.gave_way) == (view, support, tuple(gave))
     assert [completion.shape for completion in scene] == shapes
     assert [completion.detection for completion in scene] == [loose.detection, placed.detection]
     assert [completion.bounds is own for completion, own in zip(scene, bounds, strict=True)] == [True, True]
     CompletedScene.of([loose, loose], view)
     np.testing.assert_allclose(make_way.calls[1][1].pop("up"), (0.0, 0.6, 0.8))
-    assert make_way.calls[1][1] == {"floor_m": None, "sigma_m": 0.002}
+    assert make_way.calls[1][1] == {"floors_m": [None, None], "sigma_m": 0.002}
 
 
 def test_objects_that_reach_into_each_other_are_parted_half_way() -> None:

@@ -1,5 +1,8 @@
 """The demonstration's room: what is in view, what its objects are compared with, and its scene in the simulator."""
 
+# MuJoCo's names come from compiled modules, into which the type checker does not see.
+# pyright: reportAttributeAccessIssue=false
+
 import mujoco
 import numpy as np
 import pytest

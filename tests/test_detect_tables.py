@@ -137,3 +137,29 @@ def test_a_film_that_noise_leaves_on_a_far_table_is_no_object_and_a_plate_is_one
     labels = label_picture(points, plane, np.zeros(3), float(K[0, 0]))
     assert labels[120, 125] == 1
     assert set(np.unique(labels)) == {0, 1}
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_noise_that_a_small_cup_s_table_leaves_over_is_no_plane_of_its_own(seed: int) -> None:
+    cup = trimesh.creation.cylinder(0.027, 0.056).apply_translation((0.0, 0.0, 0.028))
+    camera = look_at((0.25, -0.4, 0.35 + 0.02 * seed), (0.0, 0.0, 0.02))
+    image, _ = render_mesh_view(
+        [cup], T_world_camera=camera, K=intrinsics(320, 240, 35.0), width=320, height=240, table_height=0.0
+    )
+    image = apply_sensor(image, SensorModel.gaussian(0.0015), np.random.default_rng(seed))
+    tables = find_table(image, UP, sensor=TABLETOP)
+    assert tables.best is not None
+    assert tables.best.plane.normal @ UP > np.cos(np.radians(0.5))
+    assert tables.best.plane.height_m == pytest.approx(0.0, abs=0.002)
+
+
+def test_the_table_is_found_where_a_board_hides_the_near_half_of_the_object_and_its_foot() -> None:
+    bottle = trimesh.creation.cylinder(0.04, 0.24).apply_translation((0.0, 0.0, TOP_M + 0.12))
+    board = box((0.5, 0.01, 0.14), (0.0, -0.2, TOP_M + 0.05))
+    picture = seen(room(bottle, board), eye=(0.05, -0.75, 1.1), target=(0.0, 0.0, TOP_M + 0.05))
+    table = find_table(picture, UP, sensor=TABLETOP).best
+    assert table is not None
+    assert table.plane.height_m == pytest.approx(TOP_M, abs=0.003)
+    found = detect_objects(picture, config=DetectConfig(classify=False))
+    tops = [float(d.cloud.points[:, 2].max()) for d in found if abs(d.box.T_world_box[0, 3]) < 0.03]
+    assert max(tops) == pytest.approx(TOP_M + 0.24, abs=0.01)

@@ -38,7 +38,7 @@ def box(low, high, seen=None, T: np.ndarray = T, edge_m: float = 0.01) -> Comple
 
 def parted(*shapes: CompletedShape, floor_m: float | None = FLOOR_M) -> Apart:
     before = [shape.mesh.vertices.copy() for shape in shapes]
-    apart = make_way(shapes, up=UP, floor_m=floor_m, sigma_m=SIGMA_M)
+    apart = make_way(shapes, up=UP, floors_m=[floor_m] * len(shapes), sigma_m=SIGMA_M)
     for vertices, shape, own in zip(before, shapes, apart.shapes, strict=True):
         np.testing.assert_array_equal(shape.mesh.vertices, vertices)  # what came is left alone
         np.testing.assert_array_equal(own.mesh.faces, shape.mesh.faces)
@@ -141,7 +141,7 @@ def test_half_a_millimetre_of_overlap_is_left(overlap_m: float, parts: bool):
 def test_parts_of_near_objects_keep_to_a_plane_and_far_ones_are_free(gap_m: float, bounded: bool):
     level = np.eye(4)
     shapes = box(*A, T=level), box([0.06 + gap_m, 0.005, 0.0], [0.12, 0.03, 0.05], T=level)
-    apart = make_way(shapes, up=level[2, :3], floor_m=0.0, sigma_m=SIGMA_M)
+    apart = make_way(shapes, up=level[2, :3], floors_m=[0.0] * len(shapes), sigma_m=SIGMA_M)
     assert_unchanged(apart, *shapes)
     assert apart.gave_way == []
     floor = [0.0, 0.0, -1.0, 0.0]
@@ -287,7 +287,7 @@ def test_flat_shapes_do_not_stop_a_scene():
         [[0, 1, 2], [1, 3, 2], [0, 2, 1], [1, 2, 3]],
         process=False,
     )
-    apart = make_way([box(*A), shape_of(flat)], up=UP, floor_m=None, sigma_m=SIGMA_M)
+    apart = make_way([box(*A), shape_of(flat)], up=UP, floors_m=[None, None], sigma_m=SIGMA_M)
     np.testing.assert_allclose(extent(apart.shapes[1])[:, :2], [[0, 0], [0.1, 0.1]], atol=1e-9)
 
 
@@ -298,3 +298,42 @@ def test_one_shape_or_none_has_nobody_to_make_way_for():
     np.testing.assert_allclose(apart.bounds, [[FLOOR]], atol=1e-12)
     nothing = parted()
     assert (nothing.shapes, nothing.bounds, nothing.gave_way) == ([], [], [])
+
+
+def hollowed(shape: CompletedShape, depth_m: float) -> CompletedShape:
+    """The shape with the inner part of its top so much lower, as a guess may have it."""
+    own = (shape.mesh.vertices - AWAY) @ TURN
+    top = own[:, 2] > own[:, 2].max() - 1e-9
+    inner = top & (np.abs(own[:, :2]) < 0.035).all(axis=1)
+    own[inner, 2] -= depth_m
+    return shape_of(trimesh.Trimesh(own, shape.mesh.faces, process=False), lambda v: top & ~inner)
+
+
+LOW = ([-0.08, -0.08, 0.0], [0.08, 0.08, 0.05])
+
+
+def test_what_nobody_saw_of_a_carrier_comes_up_to_the_foot_of_what_stands_on_it() -> None:
+    low, high = hollowed(box(*LOW), 0.012), box([-0.02, -0.03, 0.05], [0.02, 0.03, 0.12])
+    apart = make_way([low, high], up=UP, floors_m=[FLOOR_M, FLOOR_M + 0.05], sigma_m=SIGMA_M)
+    before, after = ((s.mesh.vertices - AWAY) @ TURN for s in (low, apart.shapes[0]))
+    under = (np.abs(before[:, :2]) < (0.02 + 1e-9, 0.03 + 1e-9)).all(axis=1) & (before[:, 2] > 0.03)
+    np.testing.assert_allclose(after[under, 2], 0.05, atol=2 * HALF_M)
+    np.testing.assert_allclose(after[~under], before[~under], atol=2 * HALF_M)
+    assert apart.shapes[0].mesh.is_volume
+    np.testing.assert_allclose(extent(apart.shapes[1]), [[-0.02, -0.03, 0.05], [0.02, 0.03, 0.12]], atol=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("depth_m", "foot_m", "seen"),
+    [
+        (0.012, 0.07, False),  # it hangs two centimetres above
+        (0.045, 0.05, False),  # a hollow as deep as that is no guess at a flat top
+        (0.012, 0.05, True),  # the hollow was seen
+    ],
+)
+def test_a_carrier_stays_as_it_is(depth_m: float, foot_m: float, seen: bool) -> None:
+    low, high = hollowed(box(*LOW), depth_m), box([-0.02, -0.03, foot_m], [0.02, 0.03, foot_m + 0.07])
+    if seen:
+        low = CompletedShape(low.mesh, np.ones(len(low.mesh.vertices), bool), low.sigma_m, None, {})
+    apart = make_way([low, high], up=UP, floors_m=[FLOOR_M, FLOOR_M + foot_m], sigma_m=SIGMA_M)
+    np.testing.assert_allclose(apart.shapes[0].mesh.vertices, low.mesh.vertices, atol=1e-9)

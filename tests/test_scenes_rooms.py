@@ -1,5 +1,8 @@
 """Rooms of chance: what is in them, at rest, and what a camera sees of it."""
 
+# MuJoCo's names come from compiled modules, into which the type checker does not see.
+# pyright: reportAttributeAccessIssue=false
+
 import mujoco
 import numpy as np
 import pytest

@@ -240,6 +240,26 @@ def gfpnet(
     out.print(str(card), markup=False)
 
 
+@train.command()
+def instances(
+    file: Out = None,
+    steps: Steps = None,
+    rooms: Annotated[int | None, typer.Option(min=1, help="Rooms; left out, those of the shipped weights.")] = None,
+    runs: Runs = Path("runs"),
+    device: Device = "cpu",
+    workers: Workers = 1,
+    seed: Seed = 0,
+) -> None:
+    """The network that tells the things on a table apart in a depth picture."""
+    from gfp_grasp.train import InstancesConfig, train_instances
+
+    config = InstancesConfig(seed=seed, device=device)
+    config = replace(config, steps=steps or config.steps, rooms=rooms or config.rooms)
+    with _bar("instances", config.steps) as report:
+        card = train_instances(config=config, out=file, runs=runs, workers=workers, report=report)
+    out.print(str(card), markup=False)
+
+
 def _listed(classes: str | None) -> tuple[str, ...] | None:
     """The classes of a comma-separated list; None where there is no list."""
     return None if classes is None else tuple(name.strip() for name in classes.split(",") if name.strip())

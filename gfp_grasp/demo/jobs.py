@@ -12,7 +12,7 @@ import trimesh
 from gfp_grasp.camera import SensorModel, apply_sensor, intrinsics, render_depth
 from gfp_grasp.captures import Capture, complete_capture
 from gfp_grasp.complete import CompleteConfig, complete_scene
-from gfp_grasp.completion import Completion
+from gfp_grasp.completion import Completion, lowest_support
 from gfp_grasp.demo.demo_scene import DemoScene, load_asset, write_scene
 from gfp_grasp.drawing import Item, filmed_trial, items_of, plan_among
 from gfp_grasp.envs import run_trial
@@ -106,7 +106,8 @@ def table_frame(completions: Sequence[Completion]) -> np.ndarray:
     R = rotation_between(detection.up, [0.0, 0.0, 1.0])
     vertices = np.concatenate([completion.mesh.vertices for completion in completions]) @ R.T
     middle = (vertices.min(axis=0) + vertices.max(axis=0)) / 2
-    height = detection.support.height_m if detection.support else vertices[:, 2].min()
+    support = lowest_support(completions)
+    height = support.height_m if support else vertices[:, 2].min()
     return make_T(R, [-middle[0], -middle[1], -height])
 
 

@@ -11,6 +11,7 @@ from importlib.resources import files
 import numpy as np
 import trimesh
 
+from gfp_grasp.completion import lowest_support
 from gfp_grasp.demo.demo_scene import HEADINGS, WORD_HEADINGS, DemoScene, figures_row
 from gfp_grasp.drawing import Item, gripper_mesh, html_page
 from gfp_grasp.transforms import apply_T, make_T, rotation_between
@@ -95,7 +96,8 @@ def _shapes(scene: DemoScene) -> dict[str, object]:
     """All shapes of a scene, turned so that up is z, which the viewer takes for granted."""
     detection = scene.items[0].completion.detection
     T = make_T(rotation_between(detection.up, [0.0, 0.0, 1.0]))
-    floor = detection.support.height_m if detection.support else None
+    support = lowest_support([item.completion for item in scene.items])
+    floor = support.height_m if support else None
     items = [_item(item, T) for item in scene.items]
     return {"floor": floor, "azimuth": _azimuth(scene, T), "items": items}
 

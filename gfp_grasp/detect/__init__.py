@@ -15,6 +15,7 @@ from gfp_grasp.detect.detector import (
 )
 from gfp_grasp.detect.merging import upright_box
 from gfp_grasp.detect.single import detect_single
+from gfp_grasp.detect.stacking import on_each_other
 from gfp_grasp.detect.support import find_support
 from gfp_grasp.detect.validate import clean_cloud, numbers_of
 
@@ -38,6 +39,7 @@ if TYPE_CHECKING:
         upright_points,
         with_surface,
     )
+    from gfp_grasp.detect.instances import InstanceNet, Votes, gather_votes, instance_features, level_picture, vote
 
 __all__ = [
     "DETECTORS",
@@ -49,7 +51,9 @@ __all__ = [
     "DetectConfig",
     "Detector",
     "EmbeddingNet",
+    "InstanceNet",
     "Prototypes",
+    "Votes",
     "class_scores",
     "classify",
     "clean_cloud",
@@ -60,29 +64,42 @@ __all__ = [
     "estimate_sigma",
     "features",
     "find_support",
+    "gather_votes",
     "get_detector",
+    "instance_features",
     "label_picture",
     "label_points",
+    "level_picture",
     "make_detection",
     "mixture",
     "numbers_of",
+    "on_each_other",
     "sample_points",
     "score_table",
     "upright_box",
     "upright_points",
+    "vote",
     "with_surface",
 ]
 
 
 # These bring torch, and so come with the first use of one of them.
 _WITH_TORCH = {
-    "FLOOR_M", "NUM_CHANNELS", "NUM_POINTS", "POOL_POINTS", "Calibration", "EmbeddingNet", "Prototypes", "class_scores",
-    "classify", "embed", "embed_clouds", "features", "mixture", "sample_points", "score_table", "upright_points",
-    "with_surface",
+    **dict.fromkeys(
+        (
+            "FLOOR_M", "NUM_CHANNELS", "NUM_POINTS", "POOL_POINTS", "Calibration", "EmbeddingNet", "Prototypes",
+            "class_scores", "classify", "embed", "embed_clouds", "features", "mixture", "sample_points", "score_table",
+            "upright_points", "with_surface",
+        ),
+        "classifier",
+    ),
+    **dict.fromkeys(
+        ("InstanceNet", "Votes", "gather_votes", "instance_features", "level_picture", "vote"), "instances"
+    ),
 }  # fmt: skip
 
 
 def __getattr__(name: str) -> object:
     if name in _WITH_TORCH:
-        return getattr(import_module("gfp_grasp.detect.classifier"), name)
+        return getattr(import_module(f"gfp_grasp.detect.{_WITH_TORCH[name]}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -5,6 +5,8 @@ In a picture, pieces also end at sharp concave creases, where one body stands on
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from scipy import ndimage
 from scipy.sparse import coo_matrix
@@ -113,17 +115,64 @@ _CREASE_PX = 4  # a crease's ends stop short of the silhouette, where chords bre
 _NEIGHBOURS = 4  # on that grid, that an inner point of a surface has
 
 
-def label_picture(
-    points: np.ndarray,
-    support: SupportPlane,
-    eye: np.ndarray,
-    focal_px: float,
-    *,
-    sensor: SensorProfile = TABLETOP,
-) -> np.ndarray:
-    """Objects of an organised picture.
+@dataclass(frozen=True, eq=False)
+class Surfaces:
+    """The part of an organised picture that is above a support, in connected pieces of surface.
 
-    Surfaces part at depth steps and at sharp concave creases; pieces of one object are then joined by merge_pieces.
+    Attributes:
+        window: Rows and columns of the picture that all of it lies in; all arrays are of that window.
+        points: (h, w, 3) m, zero where nothing came back.
+        depth: (h, w) m, distance from the camera.
+        above: (h, w) bool, what is above the support and hangs together.
+        pieces: (h, w) int32 pieces between depth steps and sharp concave creases, from 1 on; 0 where there is none.
+        area_m2: (h, w) surface that a pixel stands for.
+    """
+
+    window: tuple[slice, slice]
+    points: np.ndarray
+    depth: np.ndarray
+    above: np.ndarray
+    pieces: np.ndarray
+    area_m2: np.ndarray
+
+
+def cut_picture(
+    points: np.ndarray, support: SupportPlane, eye: np.ndarray, focal_px: float, *, sensor: SensorProfile = TABLETOP
+) -> Surfaces | None:
+    """Pieces of surface above a support; None where nothing is above it.
+
+    Args:
+        points: (h, w, 3) m, NaN where nothing came back.
+        support: What things stand on, same frame.
+        eye: (3,) m, the camera.
+        focal_px: Focal length.
+        sensor: Its noise and sizes are the units of all thresholds.
+    """
+    valid = np.asarray(np.isfinite(points).all(axis=2))
+    points = np.where(valid[:, :, None], points, 0.0)
+    above = valid & (support.distances(points.reshape(-1, 3)).reshape(valid.shape) > _FLOOR * sensor.sigma_m)
+    if above.sum() < _MIN_PIECE_PX:
+        return None
+    rows, columns = (slice(a.min(), a.max() + 1) for a in np.nonzero(above))
+    points, above = points[rows, columns], above[rows, columns]
+    depth = np.linalg.norm(points - eye, axis=2)
+    jump = _JUMP * sensor.sigma_m + _JUMP_PER_M * depth
+    above = above & (_connected_pixels(above, depth, jump) > 0)  # flying pixels hang together with nothing
+    if not above.any():
+        return None
+    arm_m = ARM * sensor.sigma_m
+    crease = concavity(points, above, depth, eye, focal_px, jump=jump, arm_m=arm_m) > _MAX_CONCAVITY
+    crease = above & np.asarray(ndimage.binary_dilation(crease, iterations=_CREASE_PX), dtype=bool)
+    pieces = _give_back(_connected_pixels(above & ~crease, depth, jump), above, points, _NEAR * sensor.sigma_m)
+    rest = _connected_pixels(above & (pieces == 0), depth, jump)  # wide creases, as round the floor of a cup
+    pieces = np.where(rest > 0, rest + pieces.max(), pieces)
+    return Surfaces((rows, columns), points, depth, above, pieces, (depth / focal_px) ** 2)
+
+
+def label_picture(
+    points: np.ndarray, support: SupportPlane, eye: np.ndarray, focal_px: float, *, sensor: SensorProfile = TABLETOP
+) -> np.ndarray:
+    """Objects of an organised picture: the pieces of `cut_picture` that are one object are joined by merge_pieces.
 
     Args:
         points: (h, w, 3) m, NaN where nothing came back.
@@ -135,27 +184,12 @@ def label_picture(
     Returns:
         (h, w) int32 labels: 0 for background, 1 for the object with most pixels, and so on.
     """
-    valid = np.asarray(np.isfinite(points).all(axis=2))
-    points = np.where(valid[:, :, None], points, 0.0)
-    above = valid & (support.distances(points.reshape(-1, 3)).reshape(valid.shape) > _FLOOR * sensor.sigma_m)
-    labels = np.zeros(valid.shape, dtype=np.int32)
-    if above.sum() < _MIN_PIECE_PX:
-        return labels
-    rows, columns = (slice(a.min(), a.max() + 1) for a in np.nonzero(above))
-    points, above = points[rows, columns], above[rows, columns]
-    depth = np.linalg.norm(points - eye, axis=2)
-    jump = _JUMP * sensor.sigma_m + _JUMP_PER_M * depth
-    above = above & (_connected_pixels(above, depth, jump) > 0)  # flying pixels hang together with nothing
-    if not above.any():
-        return labels
-    arm_m = ARM * sensor.sigma_m
-    crease = concavity(points, above, depth, eye, focal_px, jump=jump, arm_m=arm_m) > _MAX_CONCAVITY
-    crease = above & np.asarray(ndimage.binary_dilation(crease, iterations=_CREASE_PX), dtype=bool)
-    pieces = _give_back(_connected_pixels(above & ~crease, depth, jump), above, points, _NEAR * sensor.sigma_m)
-    rest = _connected_pixels(above & (pieces == 0), depth, jump)  # wide creases, as round the floor of a cup
-    pieces = np.where(rest > 0, rest + pieces.max(), pieces)
-    area_m2 = (depth / focal_px) ** 2
-    labels[rows, columns] = _objects(pieces, points, support, area_m2, sensor, coarser=noise_growth(depth))
+    labels = np.zeros(points.shape[:2], dtype=np.int32)
+    cut = cut_picture(points, support, eye, focal_px, sensor=sensor)
+    if cut is not None:
+        merged = merge_pieces(cut.pieces, cut.points, support, cut.area_m2, sensor=sensor)[cut.pieces]
+        coarser = noise_growth(cut.depth)
+        labels[cut.window] = keep_objects(merged, cut.points, support, cut.area_m2, sensor, coarser=coarser)
     return labels
 
 
@@ -180,7 +214,8 @@ def label_points(
     centres, cell_of = voxel_grid(points[above], VOXEL * sensor.sigma_m)
     pieces = cluster_points(centres, sensor)
     area_m2 = np.full(len(centres), (VOXEL * sensor.sigma_m) ** 2)
-    objects = _objects(pieces, centres, support, area_m2, sensor, drop=drop)
+    merged = merge_pieces(pieces, centres, support, area_m2, sensor=sensor)[pieces]
+    objects = keep_objects(merged, centres, support, area_m2, sensor, drop=drop)
     labels[above] = objects[cell_of]
     return labels
 
@@ -220,8 +255,8 @@ def _give_back(pieces: np.ndarray, above: np.ndarray, points: np.ndarray, near_m
     return np.where(above & near, pieces[nearest[0], nearest[1]], pieces)
 
 
-def _objects(
-    pieces: np.ndarray,
+def keep_objects(
+    merged: np.ndarray,
     points: np.ndarray,
     support: SupportPlane,
     area_m2: np.ndarray,
@@ -230,21 +265,20 @@ def _objects(
     coarser: np.ndarray | None = None,
     drop: bool = True,
 ) -> np.ndarray:
-    """Pieces merged into objects, renumbered by size; shape of `pieces`.
+    """Those labels that may be objects, renumbered by size; shape of `merged`.
 
     Too small, too wide and too flat ones are dropped; what is too flat grows with the noise there, `coarser` times that
     of the sensor.
     """
-    group = merge_pieces(pieces, points, support, area_m2, sensor=sensor)
-    merged = group[pieces]
     chosen = merged > 0
-    area = np.bincount(merged[chosen], area_m2[chosen], minlength=group.max() + 1)
+    count = int(merged.max(initial=0)) + 1
+    area = np.bincount(merged[chosen], area_m2[chosen], minlength=count)
     keep = area >= (_MIN_AREA * sensor.smallest_m**2 if drop else 1e-12)
     for k in np.flatnonzero(keep) if drop else ():
         own = merged == k
         noise_m = sensor.sigma_m * (1.0 if coarser is None else float(np.median(coarser[own])))
         keep[k] = _is_object(own, points, support, noise_m, sensor)
-    order = np.argsort(-np.bincount(merged[chosen], minlength=group.max() + 1), kind="stable")
+    order = np.argsort(-np.bincount(merged[chosen], minlength=count), kind="stable")
     number = np.zeros(len(keep), dtype=np.int32)
     kept = [k for k in order if keep[k]]
     number[kept] = np.arange(1, len(kept) + 1)

@@ -36,12 +36,15 @@ class DetectConfig:
         max_points: Points of a cloud that are looked at; more are thinned evenly.
         max_object_points: Points that a detection keeps.
         classify: Name the class of each object; False leaves `category` "" and `scores` empty, and needs no torch.
+        votes: A network's votes say which pixels of a picture are one object, which needs torch; False tells objects
+            apart by the steps and creases of their surface.
     """
 
     sensor: SensorProfile = TABLETOP
     max_points: int = 400_000
     max_object_points: int = 60_000
     classify: bool = True
+    votes: bool = False
 
     def __post_init__(self) -> None:
         if self.max_points < 1000 or self.max_object_points < 1000:
@@ -126,7 +129,12 @@ def _detect_in_picture(image: DepthImage, up: np.ndarray | None, config: DetectC
     support = table.plane
     beyond_m = table.beyond_m(np.nan_to_num(points))
     points[beyond_m > table.reach_m] = np.nan
-    labels = label_picture(points, support, eye, float(image.K[0, 0]), sensor=config.sensor)
+    if config.votes:
+        from gfp_grasp.detect.learned import label_by_votes  # torch, only where votes are asked for
+
+        labels = label_by_votes(image, points, support, sensor=config.sensor)
+    else:
+        labels = label_picture(points, support, eye, float(image.K[0, 0]), sensor=config.sensor)
     labels = _renumbered(labels, beyond_m <= table.margin_m)
     if not labels.any():
         raise NothingDetected("a support plane, but nothing on it that is large enough for an object")
@@ -222,16 +230,18 @@ class Detector(Protocol):
 
 
 # Classes are named when a detection is completed, by the library of the completion.
-DETECTORS: Mapping[str, Detector] = {"tabletop": partial(detect_objects, config=DetectConfig(classify=False))}
+DETECTORS: Mapping[str, Detector] = {
+    "tabletop": partial(detect_objects, config=DetectConfig(classify=False)),
+}
 
 
 def get_detector(name: str | Detector) -> Detector:
     """A detector by name, or a function of the user's own, whose answers are checked.
 
     Args:
-        name: `tabletop` (`detect_objects`: what stands on a support plane), or `package.module:function`, a function
-            like it, or such a function itself. `make_detection` makes a detection of an object's points; its class is
-            named when it is completed.
+        name: `tabletop` (`detect_objects`: what stands on a support plane, told apart by steps and creases), `votes`
+            (told apart by a network), or `package.module:function`, a function like them, or such a function itself.
+            `make_detection` makes a detection of an object's points; its class is named when it is completed.
 
     Raises:
         UnknownDetector: The name is none of these, or cannot be imported.

@@ -7,7 +7,7 @@ wall beside it; neither is chosen for its size.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy import ndimage
@@ -21,7 +21,9 @@ from gfp_grasp.types import DepthImage, SensorProfile, SupportPlane
 _SLAB = 4.0  # half the thickness of a plane at the distance at which the sensor has this noise,
 _OUTLINE = 10.0  # what is this far beyond the plane's outline still stands within it
 _REACH = 100.0  # and so far may reach what stands on it.
-_BEGINS = 12.0  # what stands begins lower than this above the slab, for its foot may be hidden
+_BEGINS = 12.0  # what stands begins lower than this above the slab, for its foot may be hidden;
+_FLOATING = 0.02  # what begins higher counts so much less: its foot is behind something, or it hangs
+_RISES = 4.0  # what is lower than this above the slab is noise
 
 _NOISE_AT_M = 0.8  # up to here a depth camera has its noise
 _STRIDE = 2  # of the pixels that are looked at
@@ -38,6 +40,7 @@ _MOST_ROLL = 0.8  # cosine of a plane's normal with the camera's rows from which
 _OVERHEAD = -0.2  # cosine of a plane's normal with the camera's up below which it is a ceiling
 _STRIP_PX = 5  # half the width of what is too narrow for a table
 _LEAST_PIECE = 0.03  # of a plane, a share of its largest piece
+_JUMP_PER_M = 0.01  # step in range between neighbouring pixels of one surface, for each metre of range
 _LEAST_BODY_PX = 60  # pixels, of those looked at
 _MAX_WIDTH = 0.4  # of what stands, in the sensor's largest
 _TALLEST = 0.4
@@ -61,8 +64,12 @@ class Table:
 
     def beyond_m(self, points: np.ndarray) -> np.ndarray:
         """(...,) how far points (..., 3) m, world, are beyond the outline on the ground; negative within it."""
-        ground = points @ rotation_between(self.plane.normal, (0.0, 0.0, 1.0))[:2].T
-        return (ground @ self.outline[:, :2].T + self.outline[:, 2]).max(axis=-1)
+        return _beyond_m(points @ rotation_between(self.plane.normal, (0.0, 0.0, 1.0)).T, self.outline)
+
+
+def _beyond_m(level: np.ndarray, outline: np.ndarray) -> np.ndarray:
+    """(...,) m, how far level points (..., 3) are beyond an outline of half-planes (k, 3)."""
+    return (level[..., :2] @ outline[:, :2].T + outline[:, 2]).max(axis=-1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,6 +105,7 @@ def find_table(image: DepthImage, up: np.ndarray | None, *, sensor: SensorProfil
         return Tables(None, 0)
     range_m = np.linalg.norm(points - image.viewpoint, axis=2)
     slab_m = _SLAB * sensor.sigma_m * noise_growth(range_m)
+    whole = known & ~_torn(np.where(known, range_m, 0.0), slab_m)
     aside, camera_up = image.T_world_camera[:3, 0], -image.T_world_camera[:3, 1]
     best, most, free, count = None, 0.0, oriented.copy(), 0
     for number in range(_MOST_PLANES):
@@ -105,14 +113,15 @@ def find_table(image: DepthImage, up: np.ndarray | None, *, sensor: SensorProfil
         if plane is None:
             break
         facing = np.abs(np.where(oriented[..., None], normals, 0.0) @ plane.normal) > np.cos(np.radians(_FACING_DEG))
-        near = oriented & facing & (np.abs(plane.distances(points)) < slab_m)
+        close = np.abs(plane.distances(points)) < slab_m
+        near = oriented & facing & close
         if near.sum() < _LEAST_SHARE * oriented.sum():
             break
         count += 1
-        free &= ~near
+        free &= ~close  # noise tilts the normals of some of its surface, which is no other plane
         if up is None and (plane.normal @ camera_up < _OVERHEAD or abs(plane.normal @ aside) > _MOST_ROLL):
             continue
-        table, standing = _what_stands(plane, near, points, known, slab_m, sensor)
+        table, standing = _what_stands(plane, near, points, whole, slab_m, sensor)
         if table is not None and standing > most:
             best, most = table, standing
     return Tables(best, count)
@@ -219,20 +228,47 @@ def _what_stands(
     table = Table(plane, outline, _OUTLINE * sensor.sigma_m, _REACH * sensor.sigma_m)
     heights = plane.distances(np.where(known[..., None], points, 0.0))
     above = known & (heights > slab_m) & (heights < _TALLEST * sensor.largest_m)
-    above[above] = table.beyond_m(points[above]) <= table.margin_m
-    bodies, num_bodies = _pieces(above)
-    if num_bodies == 0:
-        return table, 0.0
+    standing = _standing_px(table, above, points @ R.T, heights - slab_m, sensor)
+    if standing == 0.0:  # the table about an object may be hidden by what stands before it
+        table = replace(table, margin_m=table.reach_m)
+        standing = _FLOATING * _standing_px(table, above, points @ R.T, heights - slab_m, sensor)
+    return table, min(standing, float(own.sum()))  # a support reaches beyond what stands on it
+
+
+def _standing_px(
+    table: Table, above: np.ndarray, level: np.ndarray, height_m: np.ndarray, sensor: SensorProfile
+) -> float:
+    """Number of pixels above a table that are of bodies which may stand on it; of what seems to float, a small share.
+
+    Args:
+        table: The plane and its outline.
+        above: (h, w) bool, what is above the plane.
+        level: (h, w, 3) m, points with z along the normal.
+        height_m: (h, w) above the plane's slab.
+        sensor: Its noise and sizes are the units of all thresholds.
+    """
+    above = above.copy()
+    above[above] = _beyond_m(level[above], table.outline) <= table.margin_m
+    bodies, _ = _pieces(above)
     standing = 0.0
     for index, window in enumerate(ndimage.find_objects(bodies), start=1):
         body = bodies[window] == index
         if body.sum() < _LEAST_BODY_PX:
             continue
-        low = np.quantile(heights[window][body] - slab_m[window][body], 0.02)
-        extent = np.ptp(np.quantile(points[window][body] @ R.T, (0.02, 0.98), axis=0), axis=0).max()
-        if low < _BEGINS * sensor.sigma_m and extent < _MAX_WIDTH * sensor.largest_m:
-            standing += float(body.sum())
-    return table, min(standing, float(own.sum()))  # a support reaches beyond what stands on it
+        low, high = np.quantile(height_m[window][body], (0.02, 0.98))
+        extent = np.ptp(np.quantile(level[window][body], (0.02, 0.98), axis=0), axis=0).max()
+        if high > _RISES * sensor.sigma_m and extent < _MAX_WIDTH * sensor.largest_m:
+            standing += float(body.sum()) * (1.0 if low < _BEGINS * sensor.sigma_m else _FLOATING)
+    return standing
+
+
+def _torn(range_m: np.ndarray, slab_m: np.ndarray) -> np.ndarray:
+    """(h, w) bool, pixels beside a step in range: what is behind something does not hang together with it."""
+    jump_m = slab_m + _STRIDE * _JUMP_PER_M * range_m
+    torn = np.zeros(range_m.shape, dtype=bool)
+    torn[:, 1:] |= np.abs(np.diff(range_m, axis=1)) > jump_m[:, 1:]
+    torn[1:] |= np.abs(np.diff(range_m, axis=0)) > jump_m[1:]
+    return torn
 
 
 def _pieces(chosen: np.ndarray) -> tuple[np.ndarray, int]:

@@ -10,6 +10,7 @@ from gfp_grasp.train.views import View, ViewsConfig, across_edge, render_views, 
 if TYPE_CHECKING:
     from gfp_grasp.train.classifier import ClassifierConfig, make_prototypes, train_classifier, with_prototypes
     from gfp_grasp.train.gfpnet import GFPNET_CONFIGS, paper_loss, patches_of_split, train_gfpnet
+    from gfp_grasp.train.instances import InstancesConfig, train_instances
     from gfp_grasp.train.loop import Batch, LoopConfig, shuffled, train
     from gfp_grasp.train.pcrnet import PCRNET_CONFIG, train_pcrnet
 
@@ -20,6 +21,7 @@ __all__ = [
     "Batch",
     "ClassifierConfig",
     "Example",
+    "InstancesConfig",
     "LoopConfig",
     "View",
     "ViewsConfig",
@@ -40,6 +42,7 @@ __all__ = [
     "train",
     "train_classifier",
     "train_gfpnet",
+    "train_instances",
     "train_pcrnet",
     "with_prototypes",
     "with_spec",
@@ -49,6 +52,7 @@ __all__ = [
 _WITH_TORCH = {
     **dict.fromkeys(("ClassifierConfig", "train_classifier"), "classifier"),
     **dict.fromkeys(("GFPNET_CONFIGS", "train_gfpnet"), "gfpnet"),
+    **dict.fromkeys(("InstancesConfig", "train_instances"), "instances"),
     **dict.fromkeys(("paper_loss", "patches_of_split"), "gfpnet"),
     **dict.fromkeys(("Batch", "LoopConfig", "shuffled", "train"), "loop"),
     **dict.fromkeys(("PCRNET_CONFIG", "train_pcrnet"), "pcrnet"),

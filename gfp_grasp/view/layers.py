@@ -18,6 +18,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import trimesh
 
+from gfp_grasp.completion import lowest_support
 from gfp_grasp.drawing import Item, gripper_mesh
 from gfp_grasp.transforms import quat_wxyz, rotation_between
 from gfp_grasp.types import Grasp
@@ -194,7 +195,7 @@ class Layers:
                 self._points(f"/objects/{number}/cluster", points[labels == number], colour, _CLUSTER_M)
         for number, truth in enumerate(shown.truths):
             self._simple(f"/truth/{number}", truth, TRUTH, opacity=_TRUTH_OPACITY)
-        if completions and (support := completions[0].detection.support) is not None:
+        if (support := lowest_support(completions)) is not None:
             middle = completions[0].mesh.bounds.mean(axis=0)
             self.nodes["/scene/grid"] = scene.add_grid(
                 "/scene/grid",

@@ -11,7 +11,7 @@ import trimesh
 
 from gfp_grasp.captures import Capture, complete_capture
 from gfp_grasp.complete import CompleteConfig
-from gfp_grasp.completion import Completion
+from gfp_grasp.completion import Completion, lowest_support
 from gfp_grasp.drawing import Item, items_of, make_item
 from gfp_grasp.envs import Episode
 from gfp_grasp.types import DepthImage
@@ -127,7 +127,7 @@ def scene_cloud(
 
 def _labels(points: np.ndarray, image: DepthImage, completions: Sequence[Completion]) -> np.ndarray:
     labels = np.full(len(points), OTHER)
-    if completions and (support := completions[0].detection.support) is not None:
+    if (support := lowest_support(completions)) is not None:
         near_m = max(_SUPPORT_M, 3 * completions[0].detection.sensor_sigma_m)
         labels[np.abs(support.distances(points)) < near_m] = SUPPORT  # false for a point that is NaN
     for number, completion in enumerate(completions):
