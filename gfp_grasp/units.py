@@ -25,7 +25,7 @@ def unit_advice(length: float, *, least_m: float, most_m: float) -> str:
     if 0 < length < least_m <= 1000 * length <= most_m:
         return f"if it was divided by 1000 once too often, multiply by 1000: it would be {1000 * length:.3g} m"
     ways = [
-        f"in {name} it would be {length / count:.3g} m: divide by {count:.4g}"
+        f"in {name} it would be {length / count:.3g} m: divide by {round(count, 2):.10g}"
         for name, count in _likely(length, least_m, most_m)
     ]
     return ", or ".join(ways) or "no common unit makes sense of it"

@@ -8,7 +8,7 @@ import pytest
 from PIL import Image
 
 from gfp_grasp.captures import Capture, read_capture, read_depth
-from gfp_grasp.errors import GfpGraspError, InvalidOption, InvalidView, UnreadableFile
+from gfp_grasp.errors import GfpGraspError, InvalidCloud, InvalidOption, InvalidView, UnreadableFile
 from gfp_grasp.transforms import make_T
 from gfp_grasp.types import DepthImage
 
@@ -120,8 +120,11 @@ def test_a_file_that_is_no_picture_and_text_that_is_no_json_are_refused(tmp_path
     Image.fromarray(MILLIMETRES).save(tmp_path / "depth.png")
     with pytest.raises(UnreadableFile, match=r"k\.json is not readable JSON"):
         read_depth(tmp_path / "depth.png", tmp_path / "k.json")
-    with pytest.raises(UnreadableFile, match="a depth picture goes with its intrinsics"):
+    with pytest.raises(UnreadableFile, match="a depth picture goes by read_depth"):
         read_capture(tmp_path / "depth.png")
+    np.save(tmp_path / "depth.npy", MILLIMETRES)
+    with pytest.raises(InvalidCloud, match=r"shape \(24, 32\).* a depth picture goes by read_depth"):
+        read_capture(tmp_path / "depth.npy")
 
 
 # What an .npz says of its camera

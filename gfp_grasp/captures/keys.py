@@ -15,6 +15,7 @@ from gfp_grasp.transforms import apply_T, make_T
 from gfp_grasp.types import DepthImage
 
 KEYS = "points | object_points_cam | depth_m and K | points_cam"
+_PICTURE_PX = 15  # an array with more rows and more columns is no list of points
 _Z_UP = np.array([0.0, 0.0, 1.0])
 
 
@@ -106,8 +107,13 @@ def _truth(arrays: Mapping[str, np.ndarray], T: np.ndarray) -> trimesh.Trimesh |
 
 def _points(name: str, key: str, array: np.ndarray) -> np.ndarray:
     if array.ndim != 2 or array.shape[1] != 3 or array.dtype.kind not in "fiu":
+        picture = (
+            "; a depth picture goes by read_depth, --depth with --intrinsics"
+            if min(array.shape, default=0) > _PICTURE_PX
+            else ""
+        )
         raise InvalidCloud(
-            f"{name}: {key} has shape {array.shape} of {array.dtype}; (n, 3) numbers in metres are expected"
+            f"{name}: {key} has shape {array.shape} of {array.dtype}; (n, 3) numbers in metres are expected{picture}"
         )
     return array.astype(np.float64)
 

@@ -65,7 +65,11 @@ def read_capture(path: str | Path) -> Capture:
     path = data_file("sim_scenes", SAMPLE_FILE) if str(path) == SAMPLE else Path(path)
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
-        pictures = "; a depth picture goes with its intrinsics" if suffix in (".png", ".tif", ".tiff") else ""
+        pictures = (
+            "; a depth picture goes by read_depth, --depth with --intrinsics"
+            if suffix in (".png", ".tif", ".tiff")
+            else ""
+        )
         raise UnreadableFile(f"{path.name}: suffix {path.suffix!r} is not among {', '.join(SUFFIXES)}{pictures}")
     content = read_content(path)
     if suffix == ".npz":
