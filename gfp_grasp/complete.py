@@ -15,7 +15,15 @@ from gfp_grasp.clouds import order_points
 from gfp_grasp.collision import CollisionConfig
 from gfp_grasp.completion import CompletedScene, Completion
 from gfp_grasp.deform import DeformConfig, deform
-from gfp_grasp.detect import DetectConfig, Detector, clean_cloud, detect_single, get_detector, on_each_other
+from gfp_grasp.detect import (
+    DetectConfig,
+    Detector,
+    clean_cloud,
+    detect_single,
+    get_detector,
+    on_each_other,
+    warn_of_a_plane_aside,
+)
 from gfp_grasp.errors import FitDiverged, InvalidOption, InvalidView, UnknownCategory
 from gfp_grasp.level import level_frame, make_level_view, mark_observed, move_detection
 from gfp_grasp.meshes import crossing_faces
@@ -218,6 +226,8 @@ def _detect(
             config=config,
         )
         return found, np.eye(4)
+    if view is None and support_height is None:
+        warn_of_a_plane_aside(points, up, viewpoint=viewpoint, sensor=sensor)
     T_world_level = level_frame(points, up, viewpoint)
     T_level_world = invert_T(T_world_level)
     found = detect_single(

@@ -9,7 +9,7 @@ import trimesh
 from gfp_grasp.camera import intrinsics, render_mesh_view
 from gfp_grasp.detect import DetectConfig, clean_cloud, detect_objects, detect_single, estimate_sigma, make_detection
 from gfp_grasp.detect.merging import smallest_rectangle
-from gfp_grasp.detect.single import _possible_ups
+from gfp_grasp.detect.upright import _possible_ups
 from gfp_grasp.errors import InvalidCloud, InvalidOption, InvalidView, NothingDetected, TooFewPoints
 from gfp_grasp.transforms import look_at, make_T, rotation_about
 from gfp_grasp.types import LIDAR, DepthImage, PointCloud, RangeImage, SupportPlane
@@ -256,20 +256,29 @@ def test_the_picture_tells_the_table_of_points_that_do_not_show_it() -> None:
 
 def test_ways_up_that_are_tried_follow_from_the_frame() -> None:
     points = np.random.default_rng(0).normal(scale=0.01, size=(50, 3)) + 0.5 * UP
-    level = _possible_ups(points, None, None)
-    expected = [[0.0, -np.cos(np.radians(e)), -np.sin(np.radians(e))] for e in (30, 15, 45, 0, 60)]
-    np.testing.assert_allclose(level, expected)
-    np.testing.assert_allclose(_possible_ups(points, np.array([0.005, 0.0, 0.0]), None), expected)
-    np.testing.assert_array_equal(_possible_ups(points, np.array([0.1, 0.0, 0.9]), None), [UP])
-    below = _possible_ups(points, np.array([0.4, -0.3, 0.2]), None)
+    fine, coarse, _ = _possible_ups(points, None, None)
+    expected = np.array([[0.0, -np.cos(np.radians(e)), -np.sin(np.radians(e))] for e in (30, 15, 45, 0, 60)])
+    np.testing.assert_allclose(coarse, expected)
+    assert len(fine) == 32
+    np.testing.assert_allclose(fine[12], expected[0])
+    np.testing.assert_allclose(_possible_ups(points, np.array([0.005, 0.0, 0.0]), None)[1], expected)
+    # y up and z backward; x forward and z up: no camera of OpenCV's is in the midst of its points.
+    np.testing.assert_allclose(_possible_ups(points - UP, None, None)[1], expected * (1, -1, -1))
+    ahead = points - 0.5 * UP + (0.5, 0.0, 0.0)
+    np.testing.assert_allclose(
+        _possible_ups(ahead, None, None)[1], np.stack([expected[:, 2], 0 * expected[:, 0], -expected[:, 1]], axis=1)
+    )
+    np.testing.assert_allclose(_possible_ups(points - 0.5 * UP, None, None)[1], expected)
+    np.testing.assert_array_equal(_possible_ups(points, np.array([0.1, 0.0, 0.9]), None)[0], [UP])
+    below = _possible_ups(points, np.array([0.4, -0.3, 0.2]), None)[0]
     np.testing.assert_array_equal(below, [[1, 0, 0], [0, -1, 0], [0, 0, -1]])
     image, _ = _picture()
-    ups = _possible_ups(points, EYE, image)
-    np.testing.assert_allclose(ups[:5], np.array(expected) @ image.T_world_camera[:3, :3].T)
+    ups = _possible_ups(points, EYE, image)[1]
+    np.testing.assert_allclose(ups[:5], expected @ image.T_world_camera[:3, :3].T)
     np.testing.assert_array_equal(ups[5], UP)
     T = make_T(rotation_about((1.0, 0.2, 0.0), 0.3), (0, 0, 2))
     scan = RangeImage(np.ones((2, 8)), np.array([0.1, -0.1]), 0.0, T)
-    np.testing.assert_allclose(_possible_ups(points, None, scan), [T[:3, 2]])
+    np.testing.assert_allclose(_possible_ups(points, None, scan)[0], [T[:3, 2]])
 
 
 # Detections

@@ -16,7 +16,7 @@ from gfp_grasp.detect.detector import (
 from gfp_grasp.detect.merging import upright_box
 from gfp_grasp.detect.single import detect_single
 from gfp_grasp.detect.stacking import on_each_other
-from gfp_grasp.detect.support import find_support
+from gfp_grasp.detect.support import find_support, warn_of_a_plane_aside
 from gfp_grasp.detect.validate import clean_cloud, numbers_of
 
 if TYPE_CHECKING:
@@ -79,6 +79,7 @@ __all__ = [
     "upright_box",
     "upright_points",
     "vote",
+    "warn_of_a_plane_aside",
     "with_surface",
 ]
 

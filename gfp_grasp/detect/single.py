@@ -12,15 +12,13 @@ from gfp_grasp.clouds import voxel_grid
 from gfp_grasp.detect.clusters import VOXEL, cluster_points, label_points
 from gfp_grasp.detect.detector import UP, DetectConfig, make_detection, picture_support
 from gfp_grasp.detect.support import find_support
+from gfp_grasp.detect.upright import guess_up
 from gfp_grasp.detect.validate import MIN_POINTS, robust_extents
 from gfp_grasp.errors import InvalidCloud, InvalidView, NothingDetected
 from gfp_grasp.parallel import one_thread
-from gfp_grasp.types import DepthImage, Detection, RangeImage, SensorProfile, SupportPlane, View
+from gfp_grasp.types import DepthImage, Detection, SensorProfile, SupportPlane, View
 from gfp_grasp.units import unit_advice
 
-# Angles of a camera above the horizon that are tried where neither up nor a table is known.
-_CAMERA_ELEVATIONS_DEG = (30.0, 15.0, 45.0, 0.0, 60.0)
-_AT_ORIGIN_M = 0.01  # a viewpoint this near to the origin says that the frame is a camera's
 # No camera has an object fill more of its picture than this, to either side; from within one it is a half space.
 _MAX_HALF_ANGLE_DEG = 65.0
 _MIN_SHARE_IN_MASK = 0.1
@@ -49,9 +47,10 @@ def detect_single(
     Args:
         points: (n, 3) m, finite (see clean_cloud); table and flying pixels are taken off.
         viewpoint: (3,) m, where the camera stood; the view's camera where that is given.
-        up: (3,) the support's normal; None takes a plane under the object, or the camera's axes: of several
-            elevations the one under which the object looks most like a known class; with a viewpoint that is not the
-            origin, and no view, z where the camera is above the object, else another axis. `Detection.up` says which.
+        up: (3,) the support's normal; None takes a plane under the object, or else guesses, with a warning, by the axes
+            of the camera and what the object looks like (see `upright`): OpenCV's, OpenGL's and a ROS body's frames are
+            told apart by where the points lie; with a viewpoint that is not the origin, and no view, z where the camera
+            is above the object, else another axis. `Detection.up` says which.
         support_height: Height of the table along up, m; None looks for it, and leaves support None where there is none.
         view: All that the sensor saw.
         mask: (h, w) bool, the object's pixels in it; None marks the pixels that the points fall on.
@@ -75,7 +74,7 @@ def detect_single(
     if viewpoint is not None:
         _refuse_viewpoint(np.asarray(viewpoint, dtype=np.float64), mine, config.sensor)
     if up is None:
-        up = _likely_up(mine, viewpoint, view)
+        up = guess_up(mine, viewpoint, view)
     if view is not None:
         mask = _mask_of(mine, view, mask, config.sensor)
     return make_detection(
@@ -101,7 +100,7 @@ def _support(
     if support_height is not None:
         if up is None:
             found = _support(points, viewpoint, None, None, view, config)
-            up = _likely_up(points, viewpoint, view) if found is None else found.normal
+            up = guess_up(points, viewpoint, view) if found is None else found.normal
         return SupportPlane(up, support_height)
     if isinstance(view, DepthImage):
         found = picture_support(view, up, config)
@@ -188,27 +187,6 @@ def _refuse_viewpoint(viewpoint: np.ndarray, points: np.ndarray, sensor: SensorP
             f"viewpoint is inside of the object or touches it, {distance.min():.3f} m from its nearest point: give the "
             "place where the camera stood, in the frame of the cloud, or None if it is unknown"
         )
-
-
-def _likely_up(points: np.ndarray, viewpoint: np.ndarray | None, view: View | None) -> np.ndarray:
-    """The direction under which the classifier is surest, of those that the frame makes likely."""
-    from gfp_grasp.detect.classifier import classify  # torch, only where it is asked for
-
-    return max(_possible_ups(points, viewpoint, view), key=lambda up: max(classify(points, up).values()))
-
-
-def _possible_ups(points: np.ndarray, viewpoint: np.ndarray | None, view: View | None) -> list[np.ndarray]:
-    """Ups of a level camera at likely elevations, and z too with a view; the axes of a frame that is not a camera's."""
-    if view is None and viewpoint is not None and np.linalg.norm(viewpoint) > _AT_ORIGIN_M:
-        toward = np.asarray(viewpoint) - points.mean(axis=0)
-        # Most worlds have z up, and a camera looks at a table from above.
-        return [UP] if toward @ UP > 0 else [up for up in np.vstack([np.eye(3), -np.eye(3)]) if up @ toward > 0]
-    if isinstance(view, RangeImage):
-        return [view.T_world_sensor[:3, 2]]
-    R = view.T_world_camera[:3, :3] if isinstance(view, DepthImage) else np.eye(3)
-    elevations = np.radians(_CAMERA_ELEVATIONS_DEG)
-    ups = [R @ np.array([0.0, -np.cos(e), -np.sin(e)]) for e in elevations]
-    return ups if view is None else [*ups, UP]
 
 
 def _checked_mask(mask: object, view: View | None) -> np.ndarray | None:

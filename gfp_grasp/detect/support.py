@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterator
 
 import numpy as np
@@ -25,6 +26,9 @@ _MIN_SPREAD = 1.2  # area of the plane's outline over that of what stands within
 _MAX_BELOW = 0.04  # points below the plane and within its outline, over those above
 _MIN_FACING = 0.6  # share of the plane's points whose own surface faces along its normal, within
 _FACING_DEG = 25.0
+_MIN_FACING_ANYWHERE = 0.9  # where up is unknown: a table has 0.98, a slab of a cup's wall up to 0.82
+_MIN_ASIDE = 0.35  # share of the points of a plane that is worth a word where it is none that up expects
+_ASIDE_SAMPLE, _ASIDE_TRIPLES = 1000, 200
 _MAX_PLANES = 3  # that are tried for each direction, biggest first
 
 _SAMPLE = 120_000  # points before, and
@@ -73,12 +77,48 @@ def find_support(
         for plane in _planes(sample, np.asarray(direction, dtype=np.float64), tilt_deg, sensor.sigma_m):
             if up is None:
                 plane = _facing(plane, eye)
-            score = _support_score(plane, sample, sensor.sigma_m)
+            score = _support_score(plane, sample, sensor.sigma_m, _MIN_FACING_ANYWHERE if up is None else _MIN_FACING)
             if score > 0.5:  # more than half of everything lies on it: no other can be bigger
                 return plane
             if score > best_score:
                 best, best_score = plane, score
     return best
+
+
+def warn_of_a_plane_aside(
+    points: np.ndarray, up: np.ndarray, *, viewpoint: np.ndarray | None = None, sensor: SensorProfile = TABLETOP
+) -> None:
+    """Warn where a support holds many of the points and is not level: then up may be wrong.
+
+    Args:
+        points: (n, 3) finite, m, in the caller's frame, which the message tells the plane in.
+        up: (3,) unit, as it was given or assumed.
+        viewpoint: (3,) m; None takes the origin, where up turns out to be wrong.
+        sensor: Its noise is the unit of all tolerances.
+    """
+    rng = np.random.default_rng(0)
+    sample = _even_sample(points, _VOXEL * sensor.sigma_m, rng)
+    few = sample[rng.permutation(len(sample))[:_ASIDE_SAMPLE]]
+    a, b, c = np.moveaxis(few[rng.integers(len(few), size=(_ASIDE_TRIPLES, 3))], 1, 0)
+    normals = np.cross(b - a, c - a)
+    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
+    shares = (np.abs(few @ normals.T - np.einsum("nx,nx->n", a, normals)) < _INLIER * sensor.sigma_m).mean(axis=0)
+    best, level = int(np.argmax(shares)), np.cos(np.radians(MAX_TILT_DEG))
+    eye = np.zeros(3) if viewpoint is None else viewpoint
+    if shares[best] < _MIN_ASIDE or (abs(normals[best] @ up) > level and (eye - a[best]) @ up > 0):
+        return  # without the search below, which takes thirty times as long
+    plane = find_support(points, None, viewpoint=viewpoint, sensor=sensor)
+    if plane is None or plane.normal @ up > level:
+        return
+    share = float((np.abs(plane.distances(sample)) < _INLIER * sensor.sigma_m).mean())
+    if share > _MIN_ASIDE:
+        angle_deg = np.degrees(np.arccos(np.clip(plane.normal @ up, -1.0, 1.0)))
+        told = ", ".join(f"{value + 0.0:.2f}" for value in plane.normal)
+        warnings.warn(
+            f"{share:.0%} of the points lie in one plane, whose normal ({told}) is {angle_deg:.0f} degrees from up: if "
+            "that is the table, up is wrong; up=None (--up auto) takes that plane, or give its normal as up",
+            stacklevel=4,
+        )
 
 
 def _even_sample(points: np.ndarray, voxel_m: float, rng: np.random.Generator) -> np.ndarray:
@@ -145,7 +185,7 @@ def _facing(plane: SupportPlane, eye: np.ndarray) -> SupportPlane:
     return plane if plane.distances(eye[None])[0] >= 0 else SupportPlane(-plane.normal, -plane.height_m)
 
 
-def _support_score(plane: SupportPlane, sample: np.ndarray, sigma_m: float) -> float:
+def _support_score(plane: SupportPlane, sample: np.ndarray, sigma_m: float, min_facing: float) -> float:
     """Share of the sample on the plane where it can be the support, else 0."""
     distances = plane.distances(sample)
     ground = sample @ rotation_between(plane.normal, (0.0, 0.0, 1.0))[:2].T
@@ -166,7 +206,7 @@ def _support_score(plane: SupportPlane, sample: np.ndarray, sigma_m: float) -> f
     standing = _outline(ground[above])
     if standing is not None and outline.volume < _MIN_SPREAD * standing.volume:
         return 0.0
-    if _share_facing_along(plane.normal, sample, on) < _MIN_FACING:
+    if _share_facing_along(plane.normal, sample, on) < min_facing:
         return 0.0
     return float(on.mean())
 
