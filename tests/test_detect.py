@@ -136,7 +136,7 @@ def test_labels_move_with_a_rigid_motion(scene):
 
 
 def test_nothing_on_a_table_is_said():
-    with pytest.raises(NothingDetected, match="of its 1 planes there is nothing on any"):
+    with pytest.raises(NothingDetected, match=r"100% of the picture is one plane, .* as an empty table is"):
         detect_objects(_with_table_only())
     with pytest.raises(NothingDetected, match="no support plane"):
         detect_objects(_render([_cylinder(0, 0)], table_height=None)[0])

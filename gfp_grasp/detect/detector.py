@@ -13,6 +13,7 @@ import numpy as np
 from gfp_grasp.clouds import local_axes
 from gfp_grasp.detect.clusters import label_picture, label_points
 from gfp_grasp.detect.merging import upright_box
+from gfp_grasp.detect.refusal import no_table
 from gfp_grasp.detect.support import find_support
 from gfp_grasp.detect.tables import find_table
 from gfp_grasp.errors import InvalidOption, NothingDetected, UnknownDetector
@@ -120,11 +121,7 @@ def make_detection(
 def _detect_in_picture(image: DepthImage, up: np.ndarray | None, config: DetectConfig) -> tuple[Detection, ...]:
     seen = find_table(image, up, sensor=config.sensor)
     if seen.best is None:
-        raise NothingDetected(
-            f"no support plane in the depth picture: of its {seen.num_planes} planes there is nothing on any that is "
-            "as small as an object. Is a table in view, and is `up` its normal in the world frame (up=None takes any "
-            "plane that the camera looks down on)? A picture of one object alone goes to complete_to_mesh as a cloud"
-        )
+        raise no_table(image, num_planes=seen.num_planes, up=up, sensor=config.sensor)
     table, points, eye = seen.best, image.points(), image.viewpoint
     support = table.plane
     beyond_m = table.beyond_m(np.nan_to_num(points))

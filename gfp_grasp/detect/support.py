@@ -96,29 +96,39 @@ def warn_of_a_plane_aside(
         viewpoint: (3,) m; None takes the origin, where up turns out to be wrong.
         sensor: Its noise is the unit of all tolerances.
     """
-    rng = np.random.default_rng(0)
-    sample = _even_sample(points, _VOXEL * sensor.sigma_m, rng)
-    few = sample[rng.permutation(len(sample))[:_ASIDE_SAMPLE]]
-    a, b, c = np.moveaxis(few[rng.integers(len(few), size=(_ASIDE_TRIPLES, 3))], 1, 0)
-    normals = np.cross(b - a, c - a)
-    normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    shares = (np.abs(few @ normals.T - np.einsum("nx,nx->n", a, normals)) < _INLIER * sensor.sigma_m).mean(axis=0)
-    best, level = int(np.argmax(shares)), np.cos(np.radians(MAX_TILT_DEG))
-    eye = np.zeros(3) if viewpoint is None else viewpoint
-    if shares[best] < _MIN_ASIDE or (abs(normals[best] @ up) > level and (eye - a[best]) @ up > 0):
+    level, eye = np.cos(np.radians(MAX_TILT_DEG)), np.zeros(3) if viewpoint is None else viewpoint
+    widest, share = widest_plane(points, sensor=sensor)
+    if share < _MIN_ASIDE or (
+        abs(widest.normal @ up) > level and (widest.distances(eye) > 0) == (widest.normal @ up > 0)
+    ):
         return  # without the search below, which takes thirty times as long
     plane = find_support(points, None, viewpoint=viewpoint, sensor=sensor)
     if plane is None or plane.normal @ up > level:
         return
-    share = float((np.abs(plane.distances(sample)) < _INLIER * sensor.sigma_m).mean())
+    share = float((np.abs(plane.distances(points)) < _INLIER * sensor.sigma_m).mean())
     if share > _MIN_ASIDE:
         angle_deg = np.degrees(np.arccos(np.clip(plane.normal @ up, -1.0, 1.0)))
         told = ", ".join(f"{value + 0.0:.2f}" for value in plane.normal)
         warnings.warn(
             f"{share:.0%} of the points lie in one plane, whose normal ({told}) is {angle_deg:.0f} degrees from up: if "
             "that is the table, up is wrong; up=None (--up auto) takes that plane, or give its normal as up",
-            stacklevel=4,
+            stacklevel=5,
         )
+
+
+def widest_plane(points: np.ndarray, *, sensor: SensorProfile = TABLETOP) -> tuple[SupportPlane, float]:
+    """The plane of any direction that most of (n, 3) points lie in, roughly, and their share; its sign is chance."""
+    rng = np.random.default_rng(0)
+    sample = _even_sample(points, _VOXEL * sensor.sigma_m, rng)
+    few = sample[rng.permutation(len(sample))[:_ASIDE_SAMPLE]]
+    a, b, c = np.moveaxis(few[rng.integers(len(few), size=(_ASIDE_TRIPLES, 3))], 1, 0)
+    normals = np.cross(b - a, c - a)
+    length = np.linalg.norm(normals, axis=1)
+    normals = np.where(length[:, None] > 1e-12, normals / np.maximum(length, 1e-12)[:, None], (0.0, 0.0, 1.0))
+    heights = np.einsum("nx,nx->n", a, normals)
+    shares = (np.abs(few @ normals.T - heights) < _INLIER * sensor.sigma_m).mean(axis=0)
+    best = int(np.argmax(shares))
+    return SupportPlane(normals[best], heights[best]), float(shares[best])
 
 
 def _even_sample(points: np.ndarray, voxel_m: float, rng: np.random.Generator) -> np.ndarray:
