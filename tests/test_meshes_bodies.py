@@ -56,8 +56,10 @@ def test_touching_blocks_are_solid_in_every_format(suffix: str, tmp_path) -> Non
     assert mesh.is_volume
     assert mesh.volume == pytest.approx(0.008 + 0.012 + 0.012, rel=1e-5)
     solid, error = make_solid(mesh)
-    assert solid.body_count == 3
-    assert error == 0.0
+    assert solid.is_volume
+    assert solid.volume == pytest.approx(mesh.volume, rel=1e-6)
+    np.testing.assert_allclose(solid.center_mass, mesh.center_mass, atol=1e-6)
+    assert error < 1e-7
 
 
 def test_a_face_told_twice_counts_once_and_an_open_or_doubled_surface_is_no_body() -> None:

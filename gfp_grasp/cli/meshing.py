@@ -14,6 +14,7 @@ from gfp_grasp.units import scale_advice
 if TYPE_CHECKING:
     import trimesh
 
+_WORTH_A_WORD_M = 5e-6  # distances that are not zero in hundredths of a millimetre
 _SHELL_M = 0.002  # wall of a mesh that has no inside
 _SIZES_M = (0.01, 1.0)  # longest side that is taken for metres where nobody says so, as in the environment
 
@@ -62,7 +63,7 @@ def decompose(
         repair = repair_mesh(given, time_limit_s=time_limit / 2)
         left_s = max(time_limit - (time.monotonic() - started), 1.0)
         collision = split(repair.solid, config=replace(config, time_limit_s=left_s), progress=tell)
-    if repair.error_m > 0:
+    if repair.error_m > _WORTH_A_WORD_M:
         err.print(f"note: the mesh was repaired; the solid is off it by at most {1000 * repair.error_m:.2f} mm")
     parts = [part.to_trimesh() for part in collision.parts]
     mass = ""

@@ -57,8 +57,8 @@ def repair_mesh(mesh: trimesh.Trimesh, *, time_limit_s: float | None = None) -> 
     """Make a watertight volume without crossing faces out of any mesh.
 
     A mesh of more than 100 000 faces is simplified first, where that moves its surface by at most 1/500 of its
-    diagonal. Tried in turn, the first that succeeds is taken: joining and orienting, where bodies that touch stay
-    apart; filling holes and uniting the pieces; cutting out where the surface crosses itself and filling that;
+    diagonal. Tried in turn, the first that succeeds is taken: joining and orienting, where bodies that touch are
+    united; filling holes and uniting the pieces; cutting out where the surface crosses itself and filling that;
     remeshing, in which a sheet becomes a thin wall and what is sealed becomes solid.
 
     Args:
@@ -78,6 +78,9 @@ def repair_mesh(mesh: trimesh.Trimesh, *, time_limit_s: float | None = None) -> 
     if len(joined.faces) > MOST_FACES:
         joined = _simplified(joined)
     if _is_solid(joined):
+        merged = _united(joined, until) if _touch(joined) else None  # engines cut apart what only touches
+        if merged is not None and _is_solid(merged):
+            return Repair(merged, _error_m(given, merged, depth=0.0), "united")
         return Repair(joined, 0.0 if joined is given else _error_m(given, joined, depth=0.0), "joined")
     repairs: tuple[tuple[Literal["united", "patched"], Callable], ...] = (("united", _united), ("patched", _patched))
     for how, repair in repairs:
@@ -98,6 +101,11 @@ def _simplified(joined: trimesh.Trimesh) -> trimesh.Trimesh:
     fewer = simplified(joined if joined.is_watertight else _filled(joined) or joined)
     bound_m = MOST_MOVED * float(np.linalg.norm(joined.extents))
     return fewer if _error_m(joined, fewer, depth=np.inf) <= bound_m else joined
+
+
+def _touch(mesh: trimesh.Trimesh) -> bool:
+    """Whether bodies have vertices in the same places."""
+    return len(np.unique(mesh.vertices, axis=0)) < len(mesh.vertices)
 
 
 def _is_solid(mesh: trimesh.Trimesh) -> bool:
