@@ -6,15 +6,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-import trimesh
-from clocks import SteadyClock
-from scipy.spatial import KDTree
 
-from gfp_grasp import shapes
 from gfp_grasp.bench import detection
-from gfp_grasp.bench.clutter import draw_clutter
-from gfp_grasp.bench.detection import bench_detection, best_iou, match_clutter, match_table, name_capture, name_views
-from gfp_grasp.camera import SensorModel
+from gfp_grasp.bench.detection import bench_detection, name_capture, name_views
+from gfp_grasp.bench.finding import clutter_pictures, room_pictures, table_pictures
 from gfp_grasp.errors import NothingDetected
 from gfp_grasp.train import Example
 from gfp_grasp.types import DepthImage
@@ -43,13 +38,6 @@ def picture(shape=(12, 16)) -> np.ndarray:
     return np.stack([(columns - 7.5) / 20, (rows - 5.5) / 20, np.ones(shape)], axis=-1)
 
 
-def test_the_best_detection_of_a_mask_is_that_of_the_largest_overlap():
-    found: Any = (Found(None), Found(mask(0, 2)), Found(mask(1, 5)), Found(mask(5, 9)))
-    assert best_iou(mask(0, 4), found) == 0.6
-    assert best_iou(mask(0, 4), ()) == 0.0
-    assert best_iou(mask(0, 4), (Found(None),)) == 0.0  # type: ignore[arg-type]
-
-
 @pytest.fixture
 def table(tmp_path):
     """A capture with three labelled objects: columns 1 to 4, 6 to 9 and 11 to 14."""
@@ -59,20 +47,6 @@ def table(tmp_path):
     (tmp_path / "captures").mkdir()
     np.savez(tmp_path / "captures" / "table_b.npz", points_cam=picture(), label=label)
     return tmp_path
-
-
-def test_labelled_objects_are_matched_with_detections(table, monkeypatch):
-    asked = []
-
-    def detect(view, **how):
-        asked.append((view.depth_m.shape, how))
-        return (Found(mask(1, 5)), Found(mask(6, 9)), Found(mask(13, 16)), Found(mask(0, 16)))
-
-    monkeypatch.setattr(detection, "detect_objects", detect)
-    monkeypatch.setattr(detection, "time", SteadyClock(1.5))
-    figures = match_table(table / "captures" / "table_b.npz")
-    assert figures == {"objects": 3, "matched": 2, "iou": [1.0, 0.75, 0.4], "detections": 4, "seconds": 1.5}
-    assert asked == [((12, 16), {"up": None})]
 
 
 def test_the_biggest_object_of_a_capture_is_named(tmp_path, monkeypatch):
@@ -155,8 +129,8 @@ def test_views_are_counted_by_true_and_by_named_class(classified):
     assert support.height_m == 0.0
 
 
-def test_the_whole_bench_has_tables_captures_clutter_and_views(table, classified, monkeypatch):
-    asked: dict[str, list] = {"clutter": [], "class": [], "assorted": []}
+def test_the_whole_bench_has_found_objects_captures_and_views(table, classified, monkeypatch):
+    asked: dict[str, list] = {"sets": [], "class": [], "assorted": []}
     for name in ("mug_red", "bowl"):
         np.savez(table / "captures" / f"{name}.npz", depth_m=np.ones((2, 2)), K=np.eye(3))
     (table / "captures" / "readme.txt").write_text("no capture")
@@ -170,15 +144,16 @@ def test_the_whole_bench_has_tables_captures_clutter_and_views(table, classified
         asked["assorted"].append((kinds, how))
         return [example("knife", (), (), "cup")] * 2
 
-    def clutter(num_scenes, **how):
-        asked["clutter"].append((num_scenes, how))
-        return "clutter"
+    def matched(sets):
+        asked["sets"].append(
+            {name: (pictures.func, pictures.args, pictures.keywords) for name, pictures in sets.items()}
+        )
+        return "found"
 
     fakes = {
         "class_examples": of_class,
         "assorted_examples": assorted,
-        "match_clutter": clutter,
-        "match_table": lambda path: f"table {path.name}",
+        "match_detectors": matched,
         "name_capture": lambda path: f"capture {path.name}",
     }
     for name, fake in fakes.items():
@@ -190,9 +165,8 @@ def test_the_whole_bench_has_tables_captures_clutter_and_views(table, classified
     assert report == {
         "match_iou": 0.7,
         "machine": "abacus, 3 cores",
-        "tables": {"table_b": "table table_b.npz"},
         "captures": {"bowl": "capture bowl.npz", "mug_red": "capture mug_red.npz"},
-        "clutter": "clutter",
+        "found": "found",
         "foreign_mean_top_score": 0.6,
     }
     assert (views["views"], views["accuracy"]) == (6, 0.6667)
@@ -203,101 +177,10 @@ def test_the_whole_bench_has_tables_captures_clutter_and_views(table, classified
         (("cup", "test"), {**how, "alike": ("mug",)}),
         (("mug", "test"), {**how, "alike": ("cup",)}),
     ]
-    assert asked["clutter"] == [(40, {"seed": 0})]
+    rendered = {"clutter": (clutter_pictures, (40,), {"seed": 0}), "rooms": (room_pictures, (40,), {"seed": 0})}
+    assert asked["sets"] == [{**rendered, "tables": (table_pictures, (table,), {})}]
     others = {"num_members": 2, "num_views": 2, "workers": 2, "folder": table / "cache"}
     assert asked["assorted"] == [(range(2000, 2036), others)]
-    assert not {"tables", "captures"} & set(bench_detection(None))
+    assert "captures" not in bench_detection(None)
+    assert asked["sets"][1] == rendered
     assert asked["class"][3][1] == {"num_views": 4, "workers": 1, "folder": detection.CACHE, "alike": ()}
-
-
-def test_clutter_is_seen_by_two_sensors_in_turn_and_small_masks_are_left_out(monkeypatch):
-    """Two objects in each picture: columns 0 to 9, found whole, and 8 columns that are found by half; and a speck."""
-    sensors, cameras, renders, clouds = [], [], [], []
-    index = np.full((240, 320), -1)
-    index[:, :10], index[:, 20:28], index[0, 40:139] = 0, 1, 2
-    depth = np.ones((240, 320))
-    depth[:, 300:] = 0.0
-    K = np.array([[289.7, 0, 159.5], [0, 289.7, 119.5], [0, 0, 1]])
-
-    def render(meshes, **how):
-        renders.append((len(meshes), how))
-        return DepthImage(depth, K, np.eye(4)), index
-
-    def sense(image, sensor, rng):
-        sensors.append(sensor)
-        return image
-
-    def detect(image, **how):
-        clouds.append((image, how))
-        return (Found(index == 0), Found(mask(20, 24, (240, 320))), Found(index == 2))
-
-    def viewpoint(rng, **how):
-        cameras.append(how)
-        return np.eye(4)
-
-    monkeypatch.setattr(detection, "draw_clutter", lambda rng: [SimpleNamespace(mesh=None)] * 3)
-    monkeypatch.setattr(detection, "render_mesh_view", render)
-    monkeypatch.setattr(detection, "apply_sensor", sense)
-    monkeypatch.setattr(detection, "detect_objects", detect)
-    monkeypatch.setattr(detection, "sample_viewpoint", viewpoint)
-    assert match_clutter(3, seed=1) == {"scenes": 3, "objects": 6, "matched": 3, "median_iou": 0.75}
-    assert sensors == [SensorModel.realsense(), SensorModel.kinect(), SensorModel.realsense()]
-    how = renders[0][1]
-    np.testing.assert_allclose(how.pop("K"), K, atol=0.05)  # 45 degrees over 240 rows
-    assert how.pop("T_world_camera").tolist() == np.eye(4).tolist()
-    assert (renders[0][0], how) == (3, {"width": 320, "height": 240, "table_height": 0.0})
-    draws = [float(np.random.default_rng([1, number]).uniform(0.6, 0.9)) for number in range(3)]
-    assert cameras == [{"distance_m": draw} for draw in draws]
-    assert [how for _, how in clouds] == [{}] * 3
-
-
-def test_a_mask_of_a_hundred_pixels_counts(monkeypatch):
-    index = np.full((240, 320), -1)
-    index[0, :100], index[1, :100] = 0, 1
-    depth = np.ones((240, 320))
-    depth[1, 0] = 0.0  # 99 pixels of the second object came back
-    monkeypatch.setattr(detection, "draw_clutter", lambda rng: [SimpleNamespace(mesh=None)] * 2)
-    monkeypatch.setattr(
-        detection, "render_mesh_view", lambda *_, **__: (DepthImage(depth, np.eye(3), np.eye(4)), index)
-    )
-    monkeypatch.setattr(detection, "apply_sensor", lambda image, sensor, rng: image)
-    monkeypatch.setattr(detection, "detect_objects", lambda image: (Found(index == 0),))
-    assert match_clutter(1, seed=0) == {"scenes": 1, "objects": 1, "matched": 1, "median_iou": 1.0}
-
-
-# Seeds of the clutter stay what they are: the committed figure is of these scenes. Bounds in mm, low then high.
-KNOWN_CLUTTER = [
-    [58.0, -202.0, 0.0, 168.2, -91.8, 144.4],
-    [115.4, 133.9, 0.0, 179.9, 198.4, 64.3],
-    [-149.9, 72.4, 0.0, -79.3, 142.9, 153.7],
-    [-36.0, -7.3, 0.0, 91.2, 102.6, 115.0],
-    [-230.4, -208.7, 0.0, -111.1, -81.4, 122.2],
-]
-
-
-def test_clutter_stands_apart_on_the_table():
-    scenes = [[one.mesh for one in draw_clutter(np.random.default_rng(seed))] for seed in range(2, 7)]
-    np.testing.assert_allclose([1e3 * np.ravel(mesh.bounds) for mesh in scenes[0]], KNOWN_CLUTTER, atol=0.1)
-    gaps = []
-    for meshes in scenes:
-        trees = [KDTree(mesh.vertices[:, :2]) for mesh in meshes]
-        for number, mesh in enumerate(meshes):
-            assert mesh.bounds[0, 2] == pytest.approx(0.0, abs=1e-9)
-            gaps += [tree.query(mesh.vertices[:, :2])[0].min() for tree in trees[:number]]
-    assert min(gaps) > 0.004
-
-
-def test_clutter_that_finds_no_room_is_left_out(monkeypatch):
-    """Tall cylinders of 100 mm radius: where the first two leave no room, no third stands."""
-    disc = trimesh.creation.cylinder(0.1, 0.4)
-    disc.apply_translation((0.0, 0.0, 0.2))
-    least = []
-    monkeypatch.setattr(shapes, "make_shape", lambda family, seed: SimpleNamespace(mesh=disc))
-    for seed in range(12):
-        middles = [one.mesh.bounds.mean(axis=0)[:2] for one in draw_clutter(np.random.default_rng(seed))]
-        assert len(middles) in (1, 2, 3, 4)
-        assert np.abs(middles).max() <= 0.18
-        apart = [np.linalg.norm(a - b) for n, a in enumerate(middles) for b in middles[:n]]
-        assert all(distance > 0.204 for distance in apart)
-        least += apart
-    assert min(least) < 0.22

@@ -1,35 +1,35 @@
 """How well objects are found and named: `gfp-grasp bench detection`.
 
-Segmentation is measured on labelled table tops and category on captures, where a folder of them is given; category on
-views of the procedural test split always.
+Every detector is measured on rendered clutter and rooms, and on labelled table tops where a folder of them is given;
+category on views of the procedural test split, and on captures of that folder.
 """
 
 from __future__ import annotations
 
 import os
 import platform
-import time
+from collections.abc import Callable, Iterable
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from gfp_grasp.bench.clutter import draw_clutter
-from gfp_grasp.camera import (
-    SensorModel,
-    apply_sensor,
-    intrinsics,
-    render_mesh_view,
-    sample_viewpoint,
-    view_from_points,
+from gfp_grasp.bench.finding import (
+    MATCH_IOU,
+    LabelledPicture,
+    clutter_pictures,
+    match_detectors,
+    room_pictures,
+    table_pictures,
 )
 from gfp_grasp.detect import classify, detect_objects
 from gfp_grasp.errors import NothingDetected
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.train import CACHE, Example, alike_in, assorted_examples, class_examples
-from gfp_grasp.types import DepthImage, Detection, SupportPlane
+from gfp_grasp.types import DepthImage, SupportPlane
 
-MATCH_IOU = 0.7
+_SCENES = 40  # rendered, of each kind
 UP = np.array([0.0, 0.0, 1.0])
 _KINDS = range(2000, 2036)  # of things of no class, which no network has learnt
 
@@ -44,10 +44,14 @@ def bench_detection(data: Path | None, *, cache: Path = CACHE, num_views: int = 
         workers: Number of processes that render.
     """
     figures: dict[str, object] = {"match_iou": MATCH_IOU, "machine": f"{platform.machine()}, {os.cpu_count()} cores"}
+    sets: dict[str, Callable[[], Iterable[LabelledPicture]]] = {
+        "clutter": partial(clutter_pictures, _SCENES, seed=0),
+        "rooms": partial(room_pictures, _SCENES, seed=0),
+    }
     if data is not None:
-        figures["tables"] = {path.stem: match_table(path) for path in sorted(data.glob("captures/table_*.npz"))}
+        sets["tables"] = partial(table_pictures, data)
         figures["captures"] = {path.stem: name_capture(path) for path in _single_captures(data)}
-    figures["clutter"] = match_clutter(40, seed=0)
+    figures["found"] = match_detectors(sets)
     classes = PrimitiveLibrary.shipped().categories
     examples = [
         example
@@ -61,53 +65,6 @@ def bench_detection(data: Path | None, *, cache: Path = CACHE, num_views: int = 
     outside = assorted_examples(_KINDS, num_members=2, num_views=2, workers=workers, folder=cache)
     figures["foreign_mean_top_score"] = round(float(np.mean([max(_scores(e).values()) for e in outside])), 3)
     return figures
-
-
-def match_table(path: Path) -> dict[str, Any]:
-    """Intersection over union, in pixels, of each labelled object with the best detection."""
-    with np.load(path) as capture:
-        view, label = view_from_points(capture["points_cam"]), capture["label"]
-    start = time.perf_counter()
-    found = detect_objects(view, up=None)
-    seconds = time.perf_counter() - start
-    ious = [best_iou(label == k, found) for k in np.unique(label[label > 0])]
-    matched = sum(iou >= MATCH_IOU for iou in ious)
-    return {
-        "objects": len(ious),
-        "matched": matched,
-        "iou": [round(iou, 3) for iou in ious],
-        "detections": len(found),
-        "seconds": round(seconds, 2),
-    }
-
-
-def match_clutter(num_scenes: int, *, seed: int) -> dict[str, Any]:
-    """The same on rendered clutter of two to five test shapes, upright and at least 4 mm apart, with sensor noise."""
-    ious = []
-    for number in range(num_scenes):
-        rng = np.random.default_rng([seed, number])
-        meshes = [placed.mesh for placed in draw_clutter(rng)]
-        K = intrinsics(320, 240, 45.0)
-        camera = sample_viewpoint(rng, distance_m=rng.uniform(0.6, 0.9))
-        image, index = render_mesh_view(meshes, T_world_camera=camera, K=K, width=320, height=240, table_height=0.0)
-        image = apply_sensor(image, (SensorModel.realsense(), SensorModel.kinect())[number % 2], rng)
-        found = detect_objects(image)
-        for k in range(len(meshes)):
-            mask = (index == k) & (image.depth_m > 0)
-            if mask.sum() >= 100:
-                ious.append(best_iou(mask, found))
-    matched = int(np.sum(np.array(ious) >= MATCH_IOU))
-    return {
-        "scenes": num_scenes,
-        "objects": len(ious),
-        "matched": matched,
-        "median_iou": round(float(np.median(ious)), 3),
-    }
-
-
-def best_iou(mask: np.ndarray, found: tuple[Detection, ...]) -> float:
-    """Largest intersection over union of a mask (h, w) with a detection's."""
-    return max((float((mask & d.mask).sum() / (mask | d.mask).sum()) for d in found if d.mask is not None), default=0.0)
 
 
 def name_capture(path: Path) -> dict[str, Any]:

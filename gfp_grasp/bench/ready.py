@@ -33,7 +33,7 @@ from gfp_grasp.scenes import ALL_FAMILIES, BodyCheck, ObjectSource, check_file, 
 from gfp_grasp.types import DepthImage
 
 HIDDEN = (0.0, 0.3, 0.5, 0.7)  # shares of the object's pixels that a board hides
-_SAMPLES = 8192
+_SAMPLES = 32_768
 _AT_THE_START_S = 1e-3  # one step
 
 
