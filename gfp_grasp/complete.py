@@ -28,6 +28,7 @@ from gfp_grasp.errors import FitDiverged, InvalidOption, InvalidView, UnknownCat
 from gfp_grasp.level import level_frame, make_level_view, mark_observed, move_detection
 from gfp_grasp.meshes import crossing_faces
 from gfp_grasp.parallel import one_thread
+from gfp_grasp.plugins import DEFAULT_DETECTOR
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.recognition import SURE_SCORE, candidate_primitives, recognise, sureness
 from gfp_grasp.register import FitConfig, fit_best, part_is_seen
@@ -143,7 +144,7 @@ def complete_scene(
     image: DepthImage,
     *,
     up: ArrayLike | None = (0.0, 0.0, 1.0),
-    detector: str | Detector = "tabletop",
+    detector: str | Detector = DEFAULT_DETECTOR,
     config: CompleteConfig | None = None,
     seed: int = 0,
 ) -> CompletedScene:

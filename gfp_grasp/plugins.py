@@ -8,6 +8,8 @@ from typing import Any
 
 from gfp_grasp.errors import GfpGraspError
 
+DEFAULT_DETECTOR = "tabletop"  # finds the objects of a picture where nothing is said
+
 
 def imported_function(
     name: str, *, what: str, of: str, on_offer: str, error: type[GfpGraspError]

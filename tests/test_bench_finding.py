@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import trimesh
 from clocks import SteadyClock
+from PIL import Image
 from scipy.spatial import KDTree
 
 from gfp_grasp import shapes
@@ -23,7 +24,7 @@ from gfp_grasp.bench.finding import (
     table_pictures,
 )
 from gfp_grasp.camera import SensorModel
-from gfp_grasp.errors import NothingDetected
+from gfp_grasp.errors import InvalidOption, NothingDetected
 from gfp_grasp.types import DepthImage
 
 
@@ -200,3 +201,28 @@ def test_clutter_that_finds_no_room_is_left_out(monkeypatch):
         assert all(distance > 0.204 for distance in apart)
         least += apart
     assert min(least) < 0.22
+
+
+def test_rooms_are_painted_side_by_side(tmp_path, monkeypatch):
+    (tmp_path / "captures").mkdir()
+    K = np.array([[20.0, 0, 7.5], [0, 20.0, 5.5], [0, 0, 1]])
+    for name, shape in (("room_b", (12, 16)), ("room_a", (10, 16)), ("table_c", (12, 16))):
+        np.savez(tmp_path / "captures" / f"{name}.npz", depth_m=np.ones(shape), K=K)
+    asked = []
+
+    def detect(image, *, up) -> Any:
+        asked.append((image.shape, up))
+        return (Found(mask(0, 8, image.shape)), Found(None))
+
+    monkeypatch.setattr(finding, "get_detector", lambda name: detect)
+    finding.paint_rooms(tmp_path, tmp_path / "rooms.png")
+    picture = np.asarray(Image.open(tmp_path / "rooms.png"))
+    assert picture.shape == (5, 16, 3)  # half of the size, the height of the lower one
+    colourful = np.ptp(picture.astype(int), axis=2) > 0
+    np.testing.assert_array_equal(colourful, np.tile(np.repeat([True, False], 4), (5, 2)))
+    assert asked == [((10, 16), None), ((12, 16), None)]
+
+
+def test_a_folder_without_rooms_is_refused(tmp_path):
+    with pytest.raises(InvalidOption, match="has no captures/room_"):
+        finding.paint_rooms(tmp_path, tmp_path / "rooms.png")

@@ -10,6 +10,7 @@ from PIL import Image
 
 from gfp_grasp.camera import intrinsics
 from gfp_grasp.drawing import (
+    apart,
     bracket_chart,
     escaped,
     every_nth,
@@ -17,6 +18,7 @@ from gfp_grasp.drawing import (
     html_page,
     joined_boxes,
     overlay,
+    paint_objects,
     reasons_chart,
     reasons_legend,
     spoken,
@@ -230,3 +232,23 @@ def test_a_page_escapes_its_title_and_names_no_place_of_the_machine():
     assert page.index(":root") < page.index(".own {}") < page.index("</style>")
     assert escaped('/some/place/"mug"') == "&quot;mug&quot;"
     assert spoken("slipped_on_lift") == "slipped on lift"
+
+
+def test_objects_are_painted_in_their_own_colours_over_grey_depth() -> None:
+    depth = np.linspace(0.5, 1.5, 24).reshape(4, 6)
+    depth[0, 0] = 0.0
+    first, second = np.zeros((4, 6), bool), np.zeros((4, 6), bool)
+    first[1, 1:3], second[2, 4] = True, True
+    picture = paint_objects(depth, [first, second])
+    assert (picture.shape, picture.dtype) == ((4, 6, 3), np.uint8)
+    assert picture[0, 0].tolist() == [26, 26, 26]  # nothing came back
+    grey = picture[~(first | second)]
+    assert (np.ptp(grey.astype(int), axis=1) == 0).all()
+    assert picture[0, 1, 0] > picture[2, 1, 0] > picture[3, 4, 0]
+    for mask, colour in ((first, apart(2)[0]), (second, apart(2)[1])):
+        own = picture[mask].astype(float) - 0.65 * colour
+        assert (np.ptp(own, axis=1) <= 1.5).all()  # what is left is grey
+
+
+def test_nothing_that_came_back_is_a_dark_picture() -> None:
+    assert (paint_objects(np.zeros((2, 3)), []) == 26).all()

@@ -67,7 +67,7 @@ def test_a_picture_is_completed_object_by_object(
     run(monkeypatch, "02_whole_picture")
     run(monkeypatch, "02_whole_picture", "own.npz")
     assert read.calls == [(("sample",), {}), (("own.npz",), {})]
-    assert complete.calls[0] == ((CAPTURE.view,), {"up": CAPTURE.up, "detector": "tabletop"})
+    assert complete.calls[0] == ((CAPTURE.view,), {"up": CAPTURE.up})
     told = capsys.readouterr().out.splitlines()
     assert told[0] == "object 0: mug at [0. 0. 0.] m, 1.25 s"
     assert told[2].startswith("object 1: cup")

@@ -11,6 +11,7 @@ import pytest
 
 from gfp_grasp.captures import read_capture
 from gfp_grasp.cli.complete import view
+from gfp_grasp.drawing import apart
 from gfp_grasp.envs import GfpGraspEnv
 from gfp_grasp.envs.episode import Episode
 from gfp_grasp.errors import InvalidOption
@@ -21,7 +22,6 @@ from gfp_grasp.view.layers import (
     GUESSED,
     SEEN,
     Switches,
-    apart,
     grasp_colour,
     scale_colours,
     scale_end_mm,

@@ -8,13 +8,12 @@ import trimesh
 from toy_completions import EXTENTS, toy_completion, toy_fit, toy_image, toy_item
 from toy_server import ToyServer
 
-from gfp_grasp.drawing import Item, gripper_mesh
+from gfp_grasp.drawing import Item, apart, gripper_mesh
 from gfp_grasp.transforms import quat_wxyz, rotation_about, rotation_between
 from gfp_grasp.types import SupportPlane
 from gfp_grasp.view.layers import (
     Layers,
     Switches,
-    apart,
     grasp_colour,
     scale_colours,
     scale_end_mm,

@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from gfp_grasp.bench.collision import bench_collision
     from gfp_grasp.bench.completion import CompletionConfig, bench_completion
     from gfp_grasp.bench.detection import bench_detection
+    from gfp_grasp.bench.finding import paint_rooms
     from gfp_grasp.bench.hollow import bench_hollow
     from gfp_grasp.bench.hostile import HostileConfig, bench_hostile
     from gfp_grasp.bench.methods import BRIEF, METHODS
@@ -43,6 +44,7 @@ _HOMES = {
     "bench_stability": ("speed", "bench_stability"),
     "bench_trial": ("trial", "bench_trial"),
     "check_pages": ("ready_table", "check_pages"),
+    "paint_rooms": ("finding", "paint_rooms"),
     "ready_cells": ("ready_table", "ready_cells"),
     "ready_headings": ("ready_table", "ready_headings"),
     "write_pages": ("ready_table", "write_pages"),
@@ -70,6 +72,7 @@ __all__ = [
     "bench_stability",
     "bench_trial",
     "check_pages",
+    "paint_rooms",
     "ready_cells",
     "ready_headings",
     "write_pages",

@@ -9,11 +9,14 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 from gfp_grasp.bench.clutter import draw_clutter
 from gfp_grasp.camera import SensorModel, apply_sensor, intrinsics, render_mesh_view, sample_viewpoint, view_from_points
-from gfp_grasp.detect import DETECTORS, Detector
-from gfp_grasp.errors import NothingDetected
+from gfp_grasp.detect import DETECTORS, Detector, get_detector
+from gfp_grasp.drawing import paint_objects
+from gfp_grasp.errors import InvalidOption, NothingDetected
+from gfp_grasp.plugins import DEFAULT_DETECTOR
 from gfp_grasp.scenes import draw_camera, draw_things, make_room, view_room
 from gfp_grasp.types import DepthImage, Detection
 
@@ -21,6 +24,7 @@ MATCH_IOU = 0.7
 _UP = np.array([0.0, 0.0, 1.0])
 _LEAST_PX = 100  # of a rendered object that counts
 _MOST_THINGS = 12
+_SHRUNK = 2  # pixels of a picture that become one of its panel
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,6 +127,20 @@ def match_pictures(pictures: Iterable[LabelledPicture], detector: Detector) -> d
         "missed": missed,
         "median_seconds": round(float(np.median(seconds)), 2) if seconds else None,
     }
+
+
+def paint_rooms(data: Path, file: Path, *, detector: str = DEFAULT_DETECTOR) -> None:
+    """Write one picture of what is found in captures/room_*.npz of a folder (depth_m, K), one beside the other."""
+    panels = []
+    for path in sorted(data.glob("captures/room_*.npz")):
+        with np.load(path) as capture:
+            view = DepthImage(capture["depth_m"], capture["K"], np.eye(4))
+        found = get_detector(detector)(view, up=None)
+        panels.append(paint_objects(view.depth_m, [d.mask for d in found if d.mask is not None])[::_SHRUNK, ::_SHRUNK])
+    if not panels:
+        raise InvalidOption(f"{data} has no captures/room_*.npz: there is nothing to paint")
+    height = min(len(panel) for panel in panels)
+    Image.fromarray(np.hstack([panel[:height] for panel in panels])).save(file)
 
 
 def best_iou(mask: np.ndarray, found: Sequence[Detection]) -> float:

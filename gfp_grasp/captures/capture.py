@@ -10,6 +10,7 @@ import trimesh
 
 from gfp_grasp.complete import CompleteConfig, Completion, complete_scene, complete_to_mesh
 from gfp_grasp.errors import InvalidCloud, InvalidOption
+from gfp_grasp.plugins import DEFAULT_DETECTOR
 from gfp_grasp.types import DepthImage
 
 
@@ -63,7 +64,7 @@ def complete_capture(
         capture: The recording.
         category: As complete_to_mesh takes it; a whole picture's objects are classified one by one.
         detector: Name of the detector for the whole picture, see `gfp_grasp.detect.get_detector`, even where the points
-            of one object are known; None takes `tabletop` where they are not.
+            of one object are known; None takes the default where they are not.
         sensor: As complete_to_mesh takes it.
         config: Switches.
         seed: Seed of every random choice.
@@ -77,7 +78,9 @@ def complete_capture(
             f"detector {detector!r} looks for objects in a picture, and {capture.name} holds points only"
         )
     if capture.view is not None and (detector is not None or capture.points is None):
-        return complete_scene(capture.view, up=capture.up, detector=detector or "tabletop", config=config, seed=seed)
+        return complete_scene(
+            capture.view, up=capture.up, detector=detector or DEFAULT_DETECTOR, config=config, seed=seed
+        )
     assert capture.points is not None
     completion = complete_to_mesh(
         capture.points,

@@ -109,16 +109,23 @@ def registration(
 def detection(
     data: Annotated[Path | None, typer.Option(help="Folder with captures/, for real tables.")] = None,
     views: Annotated[int, typer.Option(min=1, help="Views of each procedural shape.")] = 4,
+    pictures: Annotated[
+        Path | None, typer.Option(dir_okay=False, help="Paint what is found in captures/room_*.npz into this file.")
+    ] = None,
     workers: Workers = 1,
     json_file: JsonFile = None,
 ) -> None:
-    """Objects found on tables, and classes told apart."""
-    from gfp_grasp.bench import bench_detection
+    """Objects found on tables, in clutter and in rooms by every detector, and classes told apart."""
+    from gfp_grasp.bench import bench_detection, paint_rooms
 
     if data is not None and not (data / "captures").is_dir():
         raise InvalidOption(f"--data is {data}; a folder with captures/ in it is expected")
+    if pictures is not None and data is None:
+        raise InvalidOption("--pictures paints captures of the folder --data, which is missing")
     with err.status("detecting ..."):
         report = bench_detection(data, num_views=views, workers=workers)
+        if data is not None and pictures is not None:
+            paint_rooms(data, pictures)
     out.print_json(json.dumps(report))
     save_json(json_file, report)
 

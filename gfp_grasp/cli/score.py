@@ -20,6 +20,7 @@ from gfp_grasp.cli.terminal import (
     table,
     track,
 )
+from gfp_grasp.plugins import DEFAULT_DETECTOR
 
 COMPLETERS = "observed,observed/top-down,mirror,gfs,registration,gfpnet-paper,gfpnet,oracle"
 
@@ -38,7 +39,7 @@ def score(
         str | None, typer.Option(help="Classes of the folder's objects to score, with commas between; * is all.")
     ] = None,
     folders: Gps = None,
-    detector: Detector = "tabletop",
+    detector: Detector = DEFAULT_DETECTOR,
     workers: Workers = 1,
     ray: Ray = None,
     json_file: JsonFile = None,

@@ -12,10 +12,19 @@ from gfp_grasp.drawing.charts import (
     write_curves,
 )
 from gfp_grasp.drawing.items import Item, gripper_mesh, items_of, joined_boxes, make_item, plan_among
-from gfp_grasp.drawing.pictures import every_nth, filmed_trial, overlay, write_clip, write_depth
+from gfp_grasp.drawing.pictures import (
+    apart,
+    every_nth,
+    filmed_trial,
+    overlay,
+    paint_objects,
+    write_clip,
+    write_depth,
+)
 
 __all__ = [
     "Item",
+    "apart",
     "bracket_chart",
     "escaped",
     "every_nth",
@@ -26,6 +35,7 @@ __all__ = [
     "joined_boxes",
     "make_item",
     "overlay",
+    "paint_objects",
     "plan_among",
     "reasons_chart",
     "reasons_legend",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import colorsys
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
@@ -18,6 +19,8 @@ from gfp_grasp.types import DepthImage, Grasp, Outcome
 # Near to far. Light grows evenly from one stop to the next, so that the order survives in grey.
 _STOPS = np.array([(253, 231, 160), (246, 177, 97), (214, 98, 92), (140, 49, 111), (62, 26, 90), (16, 14, 42)], float)
 _NOTHING = (205, 209, 214)
+_FIRST_HUE, _GOLDEN_TURN = 0.8, (5**0.5 - 1) / 2  # the first is unlike the colours of seen and guessed surface
+_OBJECT_SHARE = 0.65  # of an object's colour in its pixels
 
 # The truth is dark and the completion light, so that the two are told apart in grey.
 _RGB = ((0.20, 0.38, 0.62), (0.98, 0.68, 0.26))
@@ -42,6 +45,26 @@ def write_depth(path: Path, depth_m: np.ndarray) -> None:
     colour = np.stack([np.interp(share, stops, _STOPS[:, c]) for c in range(3)], axis=-1)
     colour[~seen] = _NOTHING
     Image.fromarray(colour.astype(np.uint8)).save(path, optimize=True)
+
+
+def apart(num: int) -> np.ndarray:
+    """(num, 3) uint8, neighbours in the list far apart from each other: hues turn by the golden ratio."""
+    rows = [
+        colorsys.hsv_to_rgb((_FIRST_HUE + i * _GOLDEN_TURN) % 1.0, 0.55 + 0.2 * (i % 2), 0.9 - 0.15 * (i % 3))
+        for i in range(num)
+    ]
+    return (255 * np.array(rows).reshape(num, 3)).round().astype(np.uint8)
+
+
+def paint_objects(depth_m: np.ndarray, masks: Sequence[np.ndarray]) -> np.ndarray:
+    """(h, w, 3) uint8: depth (h, w) m in grey, near is light, and objects, masks (h, w) bool, in their own colours."""
+    seen = depth_m > 0
+    low, high = np.quantile(depth_m[seen], [0.005, 0.9]) if seen.any() else (0.0, 1.0)
+    light = np.where(seen, 0.9 - 0.6 * np.clip((depth_m - low) / max(high - low, 1e-6), 0.0, 1.0), 0.1)
+    picture = np.repeat(light[..., None], 3, axis=2)
+    for mask, colour in zip(masks, apart(len(masks)), strict=True):
+        picture[mask] = _OBJECT_SHARE * colour / 255 + (1 - _OBJECT_SHARE) * picture[mask]
+    return (255 * picture).round().astype(np.uint8)
 
 
 def write_clip(path: Path, frames: Sequence[np.ndarray], *, frame_ms: int = 80) -> None:

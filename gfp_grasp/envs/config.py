@@ -9,6 +9,7 @@ import numpy as np
 
 from gfp_grasp.camera import SensorModel
 from gfp_grasp.errors import InvalidOption
+from gfp_grasp.plugins import DEFAULT_DETECTOR
 from gfp_grasp.primitives import PrimitiveLibrary
 
 
@@ -126,7 +127,7 @@ class EnvConfig:
     objects: str = "all"
     gps: str = ""
     completer: str = "gfpnet"
-    detector: str = "tabletop"
+    detector: str = DEFAULT_DETECTOR
     world: str = "true"
     split: str = "test"
     limit: int = 0

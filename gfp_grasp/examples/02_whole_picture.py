@@ -11,8 +11,8 @@ from gfp_grasp.captures import read_capture
 if __name__ == "__main__":
     capture = read_capture(sys.argv[1] if len(sys.argv) > 1 else "sample")
     assert capture.view is not None, "a picture is needed, not a cloud alone"
-    # The detector "tabletop" parts objects from the table; package.module:function names one of your own.
-    for number, completion in enumerate(complete_scene(capture.view, up=capture.up, detector="tabletop")):
+    # complete_scene(detector=) takes the name of another detector; package.module:function names one of your own.
+    for number, completion in enumerate(complete_scene(capture.view, up=capture.up)):
         seconds = sum(completion.timings_s.values())
         print(
             f"object {number}: {completion.category} at {completion.T_world_object[:3, 3].round(3)} m, {seconds:.2f} s"

@@ -10,7 +10,6 @@
 
 from __future__ import annotations
 
-import colorsys
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -19,7 +18,7 @@ import numpy as np
 import trimesh
 
 from gfp_grasp.completion import lowest_support
-from gfp_grasp.drawing import Item, gripper_mesh
+from gfp_grasp.drawing import Item, apart, gripper_mesh
 from gfp_grasp.transforms import quat_wxyz, rotation_between
 from gfp_grasp.types import Grasp
 from gfp_grasp.view.scene import SUPPORT, ShownScene, scene_cloud
@@ -37,7 +36,6 @@ _ENDS_MM = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 10.0, 15.0, 20.0, 30.0, 50.0, 100.0)
 _COVERED = 0.95
 # Five colours of viridis, which also those see apart who do not see red and green apart.
 _SCALE = np.array([(68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37)], dtype=np.float64)
-_FIRST_HUE, _GOLDEN_TURN = 0.8, (5**0.5 - 1) / 2  # the first is unlike SEEN and GUESSED
 _BEST, _SECOND, _FADE, _FAINTEST = 0.85, 0.45, 0.8, 0.12  # opacities
 
 
@@ -64,15 +62,6 @@ def scale_colours(sigma_m: np.ndarray, end_mm: float) -> np.ndarray:
 def scale_stops() -> tuple[str, ...]:
     """Colours of the scale from its beginning to its end, as CSS has them."""
     return tuple("#" + bytes(stop).hex() for stop in _SCALE.astype(int).tolist())
-
-
-def apart(num: int) -> np.ndarray:
-    """(num, 3) uint8, neighbours in the list far apart from each other: hues turn by the golden ratio."""
-    rows = [
-        colorsys.hsv_to_rgb((_FIRST_HUE + i * _GOLDEN_TURN) % 1.0, 0.55 + 0.2 * (i % 2), 0.9 - 0.15 * (i % 3))
-        for i in range(num)
-    ]
-    return (255 * np.array(rows).reshape(num, 3)).round().astype(np.uint8)
 
 
 def grasp_colour(rank: int) -> tuple[tuple[int, int, int], float]:
