@@ -8,7 +8,7 @@ from typing import Any
 
 from gfp_grasp.errors import GfpGraspError
 
-DEFAULT_DETECTOR = "tabletop"  # finds the objects of a picture where nothing is said
+DEFAULT_DETECTOR = "votes"  # finds the objects of a picture where nothing is said
 
 
 def imported_function(

@@ -7,8 +7,7 @@ import trimesh
 from gfp_grasp.camera import SensorModel, apply_sensor, intrinsics, render_mesh_view
 from gfp_grasp.detect import DetectConfig, detect_objects
 from gfp_grasp.detect.clusters import label_picture
-from gfp_grasp.detect.detector import _renumbered
-from gfp_grasp.detect.tables import Table, find_table, noise_growth
+from gfp_grasp.detect.tables import Table, find_table, keep_on_table, noise_growth
 from gfp_grasp.errors import NothingDetected
 from gfp_grasp.transforms import look_at, make_T, rotation_about
 from gfp_grasp.types import TABLETOP, DepthImage, SupportPlane
@@ -124,7 +123,7 @@ def test_noise_grows_with_the_square_of_the_distance_beyond_eighty_centimetres()
 def test_objects_mostly_beside_the_table_are_dropped_and_the_others_numbered_anew() -> None:
     labels = np.array([[1, 1, 1, 1, 1], [2, 2, 2, 2, 2], [3, 3, 3, 0, 0]])
     on_table = np.array([[1, 0, 0, 0, 0], [1, 1, 0, 0, 0], [1, 1, 1, 1, 1]], dtype=bool)
-    assert _renumbered(labels, on_table).tolist() == [[0] * 5, [1] * 5, [2, 2, 2, 0, 0]]
+    assert keep_on_table(labels, on_table).tolist() == [[0] * 5, [1] * 5, [2, 2, 2, 0, 0]]
 
 
 def test_a_film_that_noise_leaves_on_a_far_table_is_no_object_and_a_plate_is_one() -> None:

@@ -1,5 +1,7 @@
 """Things told apart by votes: what the network looks at, how votes become labels, and how those meet the geometry."""
 
+from collections.abc import Sequence
+
 import numpy as np
 import pytest
 import trimesh
@@ -7,13 +9,24 @@ import trimesh
 from gfp_grasp.camera import SensorModel, apply_sensor, intrinsics, render_mesh_view
 from gfp_grasp.detect import DetectConfig, InstanceNet, Votes, detect_objects, gather_votes, level_picture, vote
 from gfp_grasp.detect import instance_features as features_of
-from gfp_grasp.detect.instances import PITCH_M
+from gfp_grasp.detect.instances import PITCH_M, load_instances
 from gfp_grasp.detect.learned import label_by_votes
+from gfp_grasp.detect.tables import Table
 from gfp_grasp.transforms import look_at, make_T, rotation_about
 from gfp_grasp.types import TABLETOP, DepthImage, SupportPlane
 
+WHOLE_OUTLINE = np.array([[1.0, 0.0, -9.0], [-1.0, 0.0, -9.0], [0.0, 1.0, -9.0], [0.0, -1.0, -9.0]])
 TABLE = SupportPlane(np.array([0.0, 0.0, 1.0]), 0.2)
+WHOLE = Table(TABLE, WHOLE_OUTLINE, 0.015, 0.15)
+UP = np.array([0.0, 0.0, 1.0])
 EYE = np.array([0.1, -0.6, 0.75])
+
+
+def together(parts: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
+    """Several bodies as one thing."""
+    made = trimesh.util.concatenate(list(parts))
+    assert isinstance(made, trimesh.Trimesh)
+    return made
 
 
 def box(extents, place, turn_deg: float = 0.0) -> trimesh.Trimesh:
@@ -120,44 +133,83 @@ def test_a_few_pixels_and_what_is_left_of_another_thing_are_no_thing() -> None:
     assert (found[2:12, 9:12] == 0).all()
 
 
-def test_a_bar_behind_a_box_is_one_object_by_votes_and_two_by_geometry(monkeypatch: pytest.MonkeyPatch) -> None:
-    bar, front = box((0.3, 0.04, 0.05), (0.0, 0.1, 0.2)), box((0.06, 0.05, 0.14), (0.0, -0.02, 0.2))
-    image, labels = picture(bar, front)
-    plain = detect_objects(image, up=np.array([0.0, 0.0, 1.0]), config=DetectConfig(classify=False))
-    assert len(plain) == 3
-    # The votes know a third of the pixels, and take the box's right edge for the bar's.
-    votes = np.where(np.arange(labels.size).reshape(labels.shape) % 3 == 0, labels, 0)
-    edge = np.flatnonzero((labels == 2).any(axis=0))[-4]
-    votes[:, edge:] = np.where(votes[:, edge:] == 2, 1, votes[:, edge:])
-    monkeypatch.setattr("gfp_grasp.detect.learned._LABELLED", 0.3)
-    monkeypatch.setattr("gfp_grasp.detect.learned._votes", lambda image, support, window, pitch_m: votes[window])
-    found = label_by_votes(image, image.points(), TABLE, sensor=TABLETOP)
+def say(monkeypatch: pytest.MonkeyPatch, labels: np.ndarray, *, seed: np.ndarray | None = None) -> None:
+    """The network's votes: pixels of thing k vote for a place 0.2 m from that of thing k - 1, if seed says so."""
+    seed = np.where(labels > 0, 0.9, 0.1) if seed is None else seed
+    votes = Votes(0.2 * labels[..., None] * [1.0, 0.0, 0.0], np.full(labels.shape, 0.03), seed)
+
+    def answer(image: DepthImage, support: SupportPlane, window: tuple[slice, slice], pitch_m: float):
+        return Votes(votes.places[window], votes.spread_m[window], votes.seed[window]), labels[window]
+
+    monkeypatch.setattr("gfp_grasp.detect.learned._votes", answer)
+
+
+def test_pieces_that_vote_for_one_place_are_one_thing_and_edges_are_those_of_the_surface(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    # A wedge behind a post: the faces of its two sides lie in two planes, so geometry leaves them two.
+    sides = [box((0.12, 0.02, 0.08), (0.06 * side, 0.1, 0.2), 35 * side) for side in (-1, 1)]
+    post = box((0.03, 0.03, 0.2), (0.01, -0.02, 0.2))
+    image, labels = picture(together(sides), post)
+    assert len(detect_objects(image, up=UP, config=DetectConfig(classify=False))) == 3
+    edge = int(np.flatnonzero((labels == 2).any(axis=0))[-2])  # the votes take the post's right edge for the wedge's
+    said = np.where((labels == 2) & (np.arange(320) >= edge), 1, labels)
+    say(monkeypatch, said)
+    found = label_by_votes(image, image.points(), WHOLE, sensor=TABLETOP)
     assert found.max() == 2
     # The lowest 6 mm of a thing are the table's.
     for k in (1, 2):
-        own = labels == k
-        assert max(iou(own, found == n) for n in (1, 2)) > 0.9
+        assert max(iou(labels == k, found == n) for n in (1, 2)) > 0.88
 
 
 def test_a_piece_that_nobody_voted_for_is_an_object_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
     image, labels = picture(box((0.1, 0.08, 0.05), (0.1, 0.0, 0.2)), box((0.06, 0.05, 0.14), (-0.1, -0.02, 0.2)))
-    votes = np.where(labels == 1, 1, 0)
-    monkeypatch.setattr("gfp_grasp.detect.learned._votes", lambda image, support, window, pitch_m: votes[window])
-    found = label_by_votes(image, image.points(), TABLE, sensor=TABLETOP)
+    say(monkeypatch, np.where(labels == 1, 1, 0))
+    found = label_by_votes(image, image.points(), WHOLE, sensor=TABLETOP)
     assert found.max() == 2
     assert max(iou(labels == 2, found == n) for n in (1, 2)) > 0.9
 
 
 def test_one_surface_of_two_things_is_parted_where_their_votes_meet(monkeypatch: pytest.MonkeyPatch) -> None:
-    whole = box((0.2, 0.1, 0.05), (0.0, 0.0, 0.2))
-    image, labels = picture(whole)
+    image, labels = picture(box((0.2, 0.1, 0.05), (0.0, 0.0, 0.2)))
     columns = np.arange(labels.shape[1])
     truth = np.where(labels == 1, np.where(columns < 150, 1, 2), 0)
-    votes = np.where(np.abs(columns - 150) < 4, 0, truth)
-    monkeypatch.setattr("gfp_grasp.detect.learned._votes", lambda image, support, window, pitch_m: votes[window])
-    found = label_by_votes(image, image.points(), TABLE, sensor=TABLETOP)
+    say(monkeypatch, np.where(np.abs(columns - 150) < 4, 0, truth), seed=np.where(truth > 0, 0.9, 0.1))
+    found = label_by_votes(image, image.points(), WHOLE, sensor=TABLETOP)
     assert found.max() == 2
     assert all(max(iou(truth == k, found == n) for n in (1, 2)) > 0.9 for k in (1, 2))
+
+
+@pytest.mark.parametrize(("sure", "count"), [(0.9, 1), (0.4, 0)])
+def test_a_flat_thing_is_kept_where_the_network_is_sure_of_it(
+    sure: float, count: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    image, labels = picture(box((0.12, 0.1, 0.0085), (0.0, 0.0, 0.2)), eye=np.array([0.2, -1.2, 1.4]))
+    say(monkeypatch, labels, seed=np.where(labels > 0, sure, 0.1))
+    assert label_by_votes(image, image.points(), WHOLE, sensor=TABLETOP).max() == count
+
+
+def test_what_stands_beyond_the_seen_table_is_kept_where_it_meets_something_and_a_chair_is_not(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    near = Table(
+        TABLE, np.array([[0.0, 1.0, -0.02], [0.0, -1.0, -9.0], [1.0, 0.0, -9.0], [-1.0, 0.0, -9.0]]), 0.015, 0.15
+    )
+    thing = box((0.08, 0.05, 0.1), (-0.1, 0.1, 0.2))  # on the table, behind its outline
+    image, labels = picture(thing)
+    say(monkeypatch, labels)
+    assert label_by_votes(image, image.points(), near, sensor=TABLETOP).max() == 1
+    table = box((1.0, 0.6, 0.02), (0.0, -0.28, 0.18))
+    chair = box((0.3, 0.03, 0.8), (0.0, 0.12, -0.4))  # its back rises behind the table's edge
+    view, index = render_mesh_view(
+        [chair, table],
+        T_world_camera=look_at(EYE, (0.0, 0.0, 0.22)),
+        K=intrinsics(320, 240, 45.0),
+        width=320,
+        height=240,
+    )
+    say(monkeypatch, np.where((index == 0) & (view.points()[..., 2] > 0.206), 1, 0))
+    assert label_by_votes(view, view.points(), near, sensor=TABLETOP).max() == 0
 
 
 def test_votes_of_any_size_of_picture_come_back_in_that_size() -> None:
@@ -167,3 +219,20 @@ def test_votes_of_any_size_of_picture_come_back_in_that_size() -> None:
     assert votes.seed.shape == votes.spread_m.shape == above.shape == (37, 50)
     assert ((votes.seed > 0) & (votes.seed < 1)).all()
     assert (votes.spread_m > 0).all()
+
+
+def test_shipped_network_finds_a_box_and_a_bar_behind_it() -> None:
+    bar, front = box((0.3, 0.04, 0.05), (0.0, 0.1, 0.2)), box((0.06, 0.05, 0.14), (0.0, -0.02, 0.2))
+    image, labels = picture(bar, front)
+    found = detect_objects(image, up=np.array([0.0, 0.0, 1.0]), config=DetectConfig(classify=False, votes=True))
+    assert len(found) == 2
+    for k in (1, 2):
+        own = labels == k
+        assert max(iou(own, d.mask) for d in found if d.mask is not None) > 0.9
+
+
+def test_shipped_weights_are_small_and_the_network_is_loaded_once() -> None:
+    network = load_instances()
+    assert network is load_instances()
+    assert not network.training
+    assert sum(p.numel() for p in network.parameters()) * 2 < 10e6

@@ -54,7 +54,7 @@ def points_only(image: DepthImage, *, up: np.ndarray | None) -> np.ndarray:
 
 
 def test_tabletop_finds_what_stands_on_a_plane_and_names_no_class() -> None:
-    assert list(DETECTORS) == ["tabletop"]
+    assert list(DETECTORS) == ["tabletop", "votes"]
     found = get_detector("tabletop")(_picture(), up=np.array([0.0, 0.0, 1.0]))
     assert sorted(round(float(d.cloud.points[:, 1].mean()), 1) for d in found) == [LEFT_M, 0.1]
     assert [d.category for d in found] == ["", ""]
@@ -86,7 +86,9 @@ def test_detection_without_a_class_is_classified_when_it_is_completed() -> None:
 
 
 def test_unknown_detector_is_refused_with_those_on_offer() -> None:
-    with pytest.raises(UnknownDetector, match=r"no detector 'magic': expected tabletop, or package.module:function"):
+    with pytest.raises(
+        UnknownDetector, match=r"no detector 'magic': expected tabletop, votes, or package.module:function"
+    ):
         get_detector("magic")
     with pytest.raises(UnknownDetector, match="cannot be imported"):
         complete_scene(_picture(), detector="no_such_module:detect")

@@ -5,6 +5,7 @@ In a picture, pieces also end at sharp concave creases, where one body stands on
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,7 @@ from scipy.spatial import KDTree
 from sklearn.cluster import DBSCAN
 
 from gfp_grasp.clouds import voxel_grid
+from gfp_grasp.detect.continuation import join_behind
 from gfp_grasp.detect.merging import merge_pieces
 from gfp_grasp.detect.tables import noise_growth
 from gfp_grasp.types import TABLETOP, SensorProfile, SupportPlane
@@ -122,7 +124,7 @@ class Surfaces:
     Attributes:
         window: Rows and columns of the picture that all of it lies in; all arrays are of that window.
         points: (h, w, 3) m, zero where nothing came back.
-        depth: (h, w) m, distance from the camera.
+        depth: (h, w) m, distance from the camera; 0 where nothing came back.
         above: (h, w) bool, what is above the support and hangs together.
         pieces: (h, w) int32 pieces between depth steps and sharp concave creases, from 1 on; 0 where there is none.
         area_m2: (h, w) surface that a pixel stands for.
@@ -154,8 +156,8 @@ def cut_picture(
     if above.sum() < _MIN_PIECE_PX:
         return None
     rows, columns = (slice(a.min(), a.max() + 1) for a in np.nonzero(above))
-    points, above = points[rows, columns], above[rows, columns]
-    depth = np.linalg.norm(points - eye, axis=2)
+    points, above, valid = points[rows, columns], above[rows, columns], valid[rows, columns]
+    depth = np.where(valid, np.linalg.norm(points - eye, axis=2), 0.0)
     jump = _JUMP * sensor.sigma_m + _JUMP_PER_M * depth
     above = above & (_connected_pixels(above, depth, jump) > 0)  # flying pixels hang together with nothing
     if not above.any():
@@ -189,6 +191,7 @@ def label_picture(
     if cut is not None:
         merged = merge_pieces(cut.pieces, cut.points, support, cut.area_m2, sensor=sensor)[cut.pieces]
         coarser = noise_growth(cut.depth)
+        merged = join_behind(merged, cut.points, cut.depth, support, sensor=sensor, noise_growth=coarser)
         labels[cut.window] = keep_objects(merged, cut.points, support, cut.area_m2, sensor, coarser=coarser)
     return labels
 
@@ -264,11 +267,12 @@ def keep_objects(
     *,
     coarser: np.ndarray | None = None,
     drop: bool = True,
+    sure: Sequence[int] | np.ndarray = (),
 ) -> np.ndarray:
     """Those labels that may be objects, renumbered by size; shape of `merged`.
 
     Too small, too wide and too flat ones are dropped; what is too flat grows with the noise there, `coarser` times that
-    of the sensor.
+    of the sensor. Those that are `sure` to be things may be flat.
     """
     chosen = merged > 0
     count = int(merged.max(initial=0)) + 1
@@ -277,7 +281,7 @@ def keep_objects(
     for k in np.flatnonzero(keep) if drop else ():
         own = merged == k
         noise_m = sensor.sigma_m * (1.0 if coarser is None else float(np.median(coarser[own])))
-        keep[k] = _is_object(own, points, support, noise_m, sensor)
+        keep[k] = _is_object(own, points, support, noise_m, sensor, flat=k in sure)
     order = np.argsort(-np.bincount(merged[chosen], minlength=count), kind="stable")
     number = np.zeros(len(keep), dtype=np.int32)
     kept = [k for k in order if keep[k]]
@@ -286,13 +290,21 @@ def keep_objects(
 
 
 def _is_object(
-    own: np.ndarray, points: np.ndarray, support: SupportPlane, noise_m: float, sensor: SensorProfile
+    own: np.ndarray,
+    points: np.ndarray,
+    support: SupportPlane,
+    noise_m: float,
+    sensor: SensorProfile,
+    *,
+    flat: bool,
 ) -> bool:
-    """Whether own pixels, or points, are neither as wide as furniture nor a film that noise leaves on the support."""
+    """Whether own pixels, or points, are neither as wide as furniture nor, unless they may be flat, a film of noise."""
     mine = points[own]
     low, high = np.percentile(mine, (2, 98), axis=0)
     if float((high - low).max()) > _MAX_WIDTH * sensor.largest_m:
         return False
+    if flat:
+        return True
     height_m = float(np.percentile(support.distances(mine), 98))
     least_m = _LEAST_HEIGHT * noise_m if noise_m > _COARSE * sensor.sigma_m else _FLOOR * sensor.sigma_m
     if height_m < least_m:

@@ -15,7 +15,7 @@ from gfp_grasp.detect.clusters import label_picture, label_points
 from gfp_grasp.detect.merging import upright_box
 from gfp_grasp.detect.refusal import no_table
 from gfp_grasp.detect.support import find_support
-from gfp_grasp.detect.tables import find_table
+from gfp_grasp.detect.tables import find_table, keep_on_table
 from gfp_grasp.errors import InvalidOption, NothingDetected, UnknownDetector
 from gfp_grasp.parallel import one_thread
 from gfp_grasp.plugins import imported_function
@@ -23,7 +23,6 @@ from gfp_grasp.types import TABLETOP, DepthImage, Detection, PointCloud, SensorP
 
 UP = np.array([0.0, 0.0, 1.0])
 
-_LEAST_ON_TABLE = 0.3  # of an object's pixels
 _NEIGHBOURS = 16  # points of the small planes that noise is read off,
 _SAMPLE = 400  # and the number of these planes
 
@@ -129,10 +128,10 @@ def _detect_in_picture(image: DepthImage, up: np.ndarray | None, config: DetectC
     if config.votes:
         from gfp_grasp.detect.learned import label_by_votes  # torch, only where votes are asked for
 
-        labels = label_by_votes(image, points, support, sensor=config.sensor)
+        labels = label_by_votes(image, points, table, sensor=config.sensor)
     else:
         labels = label_picture(points, support, eye, float(image.K[0, 0]), sensor=config.sensor)
-    labels = _renumbered(labels, beyond_m <= table.margin_m)
+        labels = keep_on_table(labels, beyond_m <= table.margin_m)
     if not labels.any():
         raise NothingDetected("a support plane, but nothing on it that is large enough for an object")
     return tuple(
@@ -148,14 +147,6 @@ def _detect_in_picture(image: DepthImage, up: np.ndarray | None, config: DetectC
         )
         for k in range(1, int(labels.max()) + 1)
     )
-
-
-def _renumbered(labels: np.ndarray, on_table: np.ndarray) -> np.ndarray:
-    """Labels (h, w) of those objects most of whose pixels are on the table; the others are walls and chairs beside."""
-    total = np.bincount(labels.ravel())
-    keep = np.bincount(labels[on_table], minlength=len(total)) >= _LEAST_ON_TABLE * total
-    keep[0] = False
-    return np.where(keep, np.cumsum(keep), 0)[labels]
 
 
 def _detect_in_points(cloud: PointCloud, up: np.ndarray | None, config: DetectConfig) -> tuple[Detection, ...]:
@@ -229,6 +220,7 @@ class Detector(Protocol):
 # Classes are named when a detection is completed, by the library of the completion.
 DETECTORS: Mapping[str, Detector] = {
     "tabletop": partial(detect_objects, config=DetectConfig(classify=False)),
+    "votes": partial(detect_objects, config=DetectConfig(classify=False, votes=True)),
 }
 
 

@@ -44,6 +44,7 @@ _JUMP_PER_M = 0.01  # step in range between neighbouring pixels of one surface, 
 _LEAST_BODY_PX = 60  # pixels, of those looked at
 _MAX_WIDTH = 0.4  # of what stands, in the sensor's largest
 _TALLEST = 0.4
+_LEAST_ON_TABLE = 0.3  # of an object's pixels
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,6 +84,14 @@ class Tables:
 
     best: Table | None
     num_planes: int
+
+
+def keep_on_table(labels: np.ndarray, on_table: np.ndarray) -> np.ndarray:
+    """Labels (h, w) of those objects enough of whose pixels are on the table, renumbered: no walls, no chairs."""
+    total = np.bincount(labels.ravel())
+    keep = np.bincount(labels[on_table], minlength=len(total)) >= _LEAST_ON_TABLE * total
+    keep[0] = False
+    return np.where(keep, np.cumsum(keep), 0)[labels]
 
 
 def noise_growth(range_m: np.ndarray) -> np.ndarray:
