@@ -88,13 +88,21 @@ def make_way(
     known = [height for height in floors_m if height is not None]
     floor_m = min(known) if known else None
     bounds: list[list[np.ndarray]] = [[] if floor_m is None else [np.append(-up, -floor_m)] for _ in shapes]
+    level = rotation_between((0.0, 0.0, 1.0), up)
     floors: dict[int, float] = {}
     given: list[GaveWay] = []
     for a, b in combinations(range(len(shapes)), 2):
         if not _near(vertices[a], vertices[b]):
             continue
         depth_m, share = _overlap(vertices[a], shapes[a].mesh.faces, vertices[b], shapes[b].mesh.faces)
-        normal, offset = _parting_plane(vertices[a], shapes[a].observed, vertices[b], shapes[b].observed, up)
+        stacked = None
+        if floor_m is not None:
+            stacked = _meeting(vertices[a] @ level, vertices[b] @ level, floors_m[a], floors_m[b], floor_m, sigma_m)
+        if stacked is not None:
+            normal, offset = (up, stacked[1]) if stacked[0] else (-up, -stacked[1])
+            depth_m = max(depth_m, 2 * _ALLOWED_M)
+        else:
+            normal, offset = _parting_plane(vertices[a], shapes[a].observed, vertices[b], shapes[b].observed, up)
         sides = ((a, b, normal, offset - _CLEARANCE_M / 2), (b, a, -normal, -offset - _CLEARANCE_M / 2))
         steps = [np.maximum(vertices[k] @ n - d, 0.0) for k, _, n, d in sides]
         if depth_m <= _ALLOWED_M and max(step.max() for step in steps) > _CLEARANCE_M:
@@ -112,7 +120,6 @@ def make_way(
                 if n @ up < -_LEVEL:
                     floors[k] = max(floors.get(k, -np.inf), float((vertices[k][step > 0] @ up).max()))
     changed = {way.index for way in given if way.moved}
-    level = rotation_between((0.0, 0.0, 1.0), up)
     for k in changed:
         height_m = floors.get(k, floors_m[k])
         if height_m is not None:
@@ -133,6 +140,38 @@ def make_way(
     )
 
 
+def _meeting(
+    a: np.ndarray, b: np.ndarray, floor_a: float | None, floor_b: float | None, floor_m: float, sigma_m: float
+) -> tuple[bool, float] | None:
+    """Whether b stands on a (else a on b), and the height at which they meet; None where neither stands on the other.
+
+    Args:
+        a: (n, 3) m, z up, vertices of a shape.
+        b: (m, 3) m of the other.
+        floor_a: Height of what the first stands on, m.
+        floor_b: Height of what the other stands on, m.
+        floor_m: Height of the support of all.
+        sigma_m: The sensor's noise.
+    """
+    for b_above, high, low, foot_m in ((True, b, a, floor_b), (False, a, b, floor_a)):
+        near_m = _RAISED * sigma_m
+        if foot_m is None or foot_m < floor_m + near_m or abs(float(low[:, 2].max()) - foot_m) > near_m:
+            continue
+        beyond_m = _beyond_foot_m(low[low[:, 2] > foot_m - near_m], high, foot_m + near_m)
+        if beyond_m is not None and beyond_m.min(initial=np.inf) <= 0.0:
+            return b_above, foot_m
+    return None
+
+
+def _beyond_foot_m(points: np.ndarray, above: np.ndarray, highest_m: float) -> np.ndarray | None:
+    """(n,) m, how far points (n, 3) are beyond the outline of what is lower than a height; None where that is flat."""
+    try:
+        hull = ConvexHull(above[above[:, 2] < highest_m, :2])
+    except (QhullError, ValueError):  # a line, or a point
+        return None
+    return (points[:, :2] @ hull.equations[:, :2].T + hull.equations[:, 2]).max(axis=1)
+
+
 def _carrying(
     vertices: np.ndarray, shape: CompletedShape, above: np.ndarray, floor_m: float, sigma_m: float
 ) -> np.ndarray | None:
@@ -148,11 +187,9 @@ def _carrying(
     foot_m = float(above[:, 2].min())
     if foot_m < floor_m + _RAISED * sigma_m:
         return None
-    try:
-        hull = ConvexHull(above[above[:, 2] < foot_m + _CLEARANCE_M, :2])
-    except (QhullError, ValueError):  # a line, or a point
+    beyond_m = _beyond_foot_m(vertices, above, foot_m + _CLEARANCE_M)
+    if beyond_m is None:
         return None
-    beyond_m = (vertices[:, :2] @ hull.equations[:, :2].T + hull.equations[:, 2]).max(axis=1)
     up = vertex_normals(vertices, shape.mesh.faces)[:, 2] > _FACES_UP
     gap_m = foot_m - vertices[:, 2]
     about = up & (beyond_m <= _ABOUT * sigma_m)
