@@ -139,7 +139,7 @@ def test_a_detector_has_a_name_and_up_is_z_where_nothing_is_said(monkeypatch: py
     asked = recorded(monkeypatch, "gfp_grasp.complete.get_detector", detect)
     complete_scene(toy_image())
     complete_scene(toy_image(), detector="own:find", up=None)
-    assert [call[0] for call in asked.calls] == [("tabletop",), ("own:find",)]
+    assert [call[0] for call in asked.calls] == [("votes",), ("own:find",)]
     assert detect.calls[1][1] == {"up": None}
     np.testing.assert_array_equal(detect.calls[0][1]["up"], (0.0, 0.0, 1.0))
 

@@ -133,6 +133,11 @@ def test_a_few_pixels_and_what_is_left_of_another_thing_are_no_thing() -> None:
     assert (found[2:12, 9:12] == 0).all()
 
 
+def labelled(image: DepthImage, table: Table) -> np.ndarray:
+    points = image.points()
+    return label_by_votes(image, points, table, table.beyond_m(np.nan_to_num(points)), sensor=TABLETOP)
+
+
 def say(monkeypatch: pytest.MonkeyPatch, labels: np.ndarray, *, seed: np.ndarray | None = None) -> None:
     """The network's votes: pixels of thing k vote for a place 0.2 m from that of thing k - 1, if seed says so."""
     seed = np.where(labels > 0, 0.9, 0.1) if seed is None else seed
@@ -155,7 +160,7 @@ def test_pieces_that_vote_for_one_place_are_one_thing_and_edges_are_those_of_the
     edge = int(np.flatnonzero((labels == 2).any(axis=0))[-2])  # the votes take the post's right edge for the wedge's
     said = np.where((labels == 2) & (np.arange(320) >= edge), 1, labels)
     say(monkeypatch, said)
-    found = label_by_votes(image, image.points(), WHOLE, sensor=TABLETOP)
+    found = labelled(image, WHOLE)
     assert found.max() == 2
     # The lowest 6 mm of a thing are the table's.
     for k in (1, 2):
@@ -165,7 +170,7 @@ def test_pieces_that_vote_for_one_place_are_one_thing_and_edges_are_those_of_the
 def test_a_piece_that_nobody_voted_for_is_an_object_of_its_own(monkeypatch: pytest.MonkeyPatch) -> None:
     image, labels = picture(box((0.1, 0.08, 0.05), (0.1, 0.0, 0.2)), box((0.06, 0.05, 0.14), (-0.1, -0.02, 0.2)))
     say(monkeypatch, np.where(labels == 1, 1, 0))
-    found = label_by_votes(image, image.points(), WHOLE, sensor=TABLETOP)
+    found = labelled(image, WHOLE)
     assert found.max() == 2
     assert max(iou(labels == 2, found == n) for n in (1, 2)) > 0.9
 
@@ -175,7 +180,7 @@ def test_one_surface_of_two_things_is_parted_where_their_votes_meet(monkeypatch:
     columns = np.arange(labels.shape[1])
     truth = np.where(labels == 1, np.where(columns < 150, 1, 2), 0)
     say(monkeypatch, np.where(np.abs(columns - 150) < 4, 0, truth), seed=np.where(truth > 0, 0.9, 0.1))
-    found = label_by_votes(image, image.points(), WHOLE, sensor=TABLETOP)
+    found = labelled(image, WHOLE)
     assert found.max() == 2
     assert all(max(iou(truth == k, found == n) for n in (1, 2)) > 0.9 for k in (1, 2))
 
@@ -186,7 +191,7 @@ def test_a_flat_thing_is_kept_where_the_network_is_sure_of_it(
 ) -> None:
     image, labels = picture(box((0.12, 0.1, 0.0085), (0.0, 0.0, 0.2)), eye=np.array([0.2, -1.2, 1.4]))
     say(monkeypatch, labels, seed=np.where(labels > 0, sure, 0.1))
-    assert label_by_votes(image, image.points(), WHOLE, sensor=TABLETOP).max() == count
+    assert labelled(image, WHOLE).max() == count
 
 
 def test_what_stands_beyond_the_seen_table_is_kept_where_it_meets_something_and_a_chair_is_not(
@@ -198,7 +203,7 @@ def test_what_stands_beyond_the_seen_table_is_kept_where_it_meets_something_and_
     thing = box((0.08, 0.05, 0.1), (-0.1, 0.1, 0.2))  # on the table, behind its outline
     image, labels = picture(thing)
     say(monkeypatch, labels)
-    assert label_by_votes(image, image.points(), near, sensor=TABLETOP).max() == 1
+    assert labelled(image, near).max() == 1
     table = box((1.0, 0.6, 0.02), (0.0, -0.28, 0.18))
     chair = box((0.3, 0.03, 0.8), (0.0, 0.12, -0.4))  # its back rises behind the table's edge
     view, index = render_mesh_view(
@@ -209,7 +214,7 @@ def test_what_stands_beyond_the_seen_table_is_kept_where_it_meets_something_and_
         height=240,
     )
     say(monkeypatch, np.where((index == 0) & (view.points()[..., 2] > 0.206), 1, 0))
-    assert label_by_votes(view, view.points(), near, sensor=TABLETOP).max() == 0
+    assert labelled(view, near).max() == 0
 
 
 def test_votes_of_any_size_of_picture_come_back_in_that_size() -> None:

@@ -53,7 +53,7 @@ def complete(
     folders: Gps = None,
     detector: Annotated[
         str | None,
-        typer.Option(help="What finds objects in the whole picture: tabletop, or your own module:function."),
+        typer.Option(help="What finds objects in the whole picture: votes, tabletop, or your own module:function."),
     ] = None,
     sensor: Annotated[str, typer.Option(help="What saw the cloud: tabletop (a depth camera) or lidar.")] = "tabletop",
     each: Annotated[bool, typer.Option("--each", help="Write several objects into files of their own.")] = False,

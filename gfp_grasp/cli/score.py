@@ -20,7 +20,6 @@ from gfp_grasp.cli.terminal import (
     table,
     track,
 )
-from gfp_grasp.plugins import DEFAULT_DETECTOR
 
 COMPLETERS = "observed,observed/top-down,mirror,gfs,registration,gfpnet-paper,gfpnet,oracle"
 
@@ -39,7 +38,7 @@ def score(
         str | None, typer.Option(help="Classes of the folder's objects to score, with commas between; * is all.")
     ] = None,
     folders: Gps = None,
-    detector: Detector = DEFAULT_DETECTOR,
+    detector: Detector = "tabletop",
     workers: Workers = 1,
     ray: Ray = None,
     json_file: JsonFile = None,

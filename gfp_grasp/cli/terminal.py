@@ -44,7 +44,9 @@ Gps = Annotated[
     list[Path] | None,
     typer.Option("--gps", help="Folder of primitives of your own (gps build --out); may be given several times."),
 ]
-Detector = Annotated[str, typer.Option(help="What finds objects in a picture: tabletop, or your own module:function.")]
+Detector = Annotated[
+    str, typer.Option(help="What finds objects in a picture: votes, tabletop, or your own module:function.")
+]
 JsonFile = Annotated[Path | None, typer.Option("--json", dir_okay=False, help="Write all figures to this file.")]
 
 out = Console()

@@ -123,12 +123,14 @@ def _detect_in_picture(image: DepthImage, up: np.ndarray | None, config: DetectC
         raise no_table(image, num_planes=seen.num_planes, up=up, sensor=config.sensor)
     table, points, eye = seen.best, image.points(), image.viewpoint
     support = table.plane
-    beyond_m = table.beyond_m(np.nan_to_num(points))
+    beyond_m = np.zeros(image.shape)
+    higher = support.distances(points) > 0.0  # False where nothing came back; what is lower is no object
+    beyond_m[higher] = table.beyond_m(points[higher])
     points[beyond_m > table.reach_m] = np.nan
     if config.votes:
         from gfp_grasp.detect.learned import label_by_votes  # torch, only where votes are asked for
 
-        labels = label_by_votes(image, points, table, sensor=config.sensor)
+        labels = label_by_votes(image, points, table, beyond_m, sensor=config.sensor)
     else:
         labels = label_picture(points, support, eye, float(image.K[0, 0]), sensor=config.sensor)
         labels = keep_on_table(labels, beyond_m <= table.margin_m)

@@ -27,13 +27,16 @@ _SURE = 0.6  # and above which it is a thing for sure
 _SAMPLE = 300  # pixels of a part whose votes are looked at
 
 
-def label_by_votes(image: DepthImage, points: np.ndarray, table: Table, *, sensor: SensorProfile) -> np.ndarray:
+def label_by_votes(
+    image: DepthImage, points: np.ndarray, table: Table, beyond_m: np.ndarray, *, sensor: SensorProfile
+) -> np.ndarray:
     """Objects of a depth picture.
 
     Args:
         image: The picture.
         points: (h, w, 3) m of its pixels, world, NaN where nothing came back or where no object is looked for.
         table: What they stand on.
+        beyond_m: (h, w), how far what is above the table is beyond its outline.
         sensor: Its noise and sizes are the units of all thresholds.
 
     Returns:
@@ -51,7 +54,7 @@ def label_by_votes(image: DepthImage, points: np.ndarray, table: Table, *, senso
     coarser = noise_growth(cut.depth)
     things = join_behind(things, cut.points, cut.depth, support, sensor=sensor, noise_growth=coarser)
     sure = _sure(things, votes.seed)
-    beyond_m = table.beyond_m(cut.points)
+    beyond_m = beyond_m[cut.window]
     # What is sure to be a thing and meets what is below it may stand where the table is hidden; a chair meets nothing.
     outer = keep_on_table(things, beyond_m <= table.margin_m) == 0
     candidates = np.intersect1d(sure, np.unique(things[outer & (things > 0)]))

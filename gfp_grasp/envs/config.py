@@ -9,7 +9,6 @@ import numpy as np
 
 from gfp_grasp.camera import SensorModel
 from gfp_grasp.errors import InvalidOption
-from gfp_grasp.plugins import DEFAULT_DETECTOR
 from gfp_grasp.primitives import PrimitiveLibrary
 
 
@@ -101,7 +100,7 @@ class EnvConfig:
         objects: Procedural families with commas between or "all", a mesh file, or a folder of meshes.
         gps: Folders of primitives of the user's own, with a colon between (a semicolon on Windows); "" for none.
         completer: Name, see `gfp_grasp.completers.get_completer`.
-        detector: Name, see `gfp_grasp.detect.get_detector`.
+        detector: Name, see `gfp_grasp.detect.get_detector`; objects of an episode stand apart, which needs no network.
         world: "true" simulates the true object, "completed" the completion's convex parts in its place.
         split: Which seeds of a family: train, val or test.
         limit: Number of objects that are used, the first ones; 0 uses all.
@@ -127,7 +126,7 @@ class EnvConfig:
     objects: str = "all"
     gps: str = ""
     completer: str = "gfpnet"
-    detector: str = DEFAULT_DETECTOR
+    detector: str = "tabletop"
     world: str = "true"
     split: str = "test"
     limit: int = 0

@@ -19,7 +19,6 @@ from gfp_grasp.envs import ActionCode, EnvConfig, Episode, GraspTask
 from gfp_grasp.errors import GfpGraspError, InvalidOption, WorkerLost
 from gfp_grasp.grasps import PLANNERS, GraspConfig, get_planner, plan_grasps
 from gfp_grasp.metrics import CompletionErrors, completion_errors
-from gfp_grasp.plugins import DEFAULT_DETECTOR
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.score.report import ScoreRow, method_names
 from gfp_grasp.types import Detection, Grasp, Outcome, PointCloud, SupportPlane, TrueObject
@@ -59,7 +58,7 @@ class ScoreConfig:
     limit: int | None = None
     classes: tuple[str, ...] | None = None
     gps: str = ""
-    detector: str = DEFAULT_DETECTOR
+    detector: str = "tabletop"
 
     def __post_init__(self) -> None:
         limit = 1 if self.limit is None else self.limit

@@ -16,7 +16,6 @@ from gfp_grasp.errors import GfpGraspError, InvalidMesh, InvalidOption
 from gfp_grasp.grasps import get_planner
 from gfp_grasp.journal import Journal
 from gfp_grasp.parallel import Progress, pmap
-from gfp_grasp.plugins import DEFAULT_DETECTOR
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.scenes import ObjectSource, label_of, load_objects
 from gfp_grasp.score.report import Report, ScoreRow, method_names
@@ -90,7 +89,7 @@ def score(
         "trial": asdict(TrialSettings()),
     }
     get_detector(config.detector)
-    if config.detector != DEFAULT_DETECTOR:
+    if config.detector != "tabletop":
         settings["detector"] = config.detector
     if config.gps:
         settings["gps"] = [folder.name for folder in PrimitiveLibrary.from_option(config.gps).folders[1:]]
