@@ -1,11 +1,14 @@
 """Things told apart by votes: what the network looks at, how votes become labels, and how those meet the geometry."""
 
+import hashlib
+import json
 from collections.abc import Sequence
 
 import numpy as np
 import pytest
 import trimesh
 
+from gfp_grasp.assets import data_file
 from gfp_grasp.camera import SensorModel, apply_sensor, intrinsics, render_mesh_view
 from gfp_grasp.detect import DetectConfig, InstanceNet, Votes, detect_objects, gather_votes, level_picture, vote
 from gfp_grasp.detect import instance_features as features_of
@@ -240,4 +243,9 @@ def test_shipped_weights_are_small_and_the_network_is_loaded_once() -> None:
     network = load_instances()
     assert network is load_instances()
     assert not network.training
-    assert sum(p.numel() for p in network.parameters()) * 2 < 10e6
+    weights = data_file("weights", "instances.safetensors")
+    card = json.loads(data_file("weights", "instances.json").read_text(encoding="utf-8"))
+    assert weights.stat().st_size < 10e6
+    assert hashlib.sha256(weights.read_bytes()).hexdigest() == card["sha256"]
+    assert (card["command"], card["hours"] < 2) == ("gfp-grasp train instances", True)
+    assert card["metrics"]["found"] > 0.8

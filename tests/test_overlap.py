@@ -337,3 +337,18 @@ def test_a_carrier_stays_as_it_is(depth_m: float, foot_m: float, seen: bool) -> 
         low = CompletedShape(low.mesh, np.ones(len(low.mesh.vertices), bool), low.sigma_m, None, {})
     apart = make_way([low, high], up=UP, floors_m=[FLOOR_M, FLOOR_M + foot_m], sigma_m=SIGMA_M)
     np.testing.assert_allclose(apart.shapes[0].mesh.vertices, low.mesh.vertices, atol=1e-9)
+
+
+def test_two_that_are_stacked_meet_at_the_foot_of_the_upper_one_and_what_is_beside_them_stays() -> None:
+    low = box([-0.08, -0.08, 0.0], [0.08, 0.08, 0.0522], lambda v: v[:, 2] > 0.05)
+    high = box([-0.02, -0.03, 0.05], [0.02, 0.03, 0.12])
+    beside = box([0.09, -0.03, 0.0], [0.13, 0.03, 0.055])
+    floors_m = [FLOOR_M, FLOOR_M + 0.05, FLOOR_M]
+    apart = make_way([low, high, beside], up=UP, floors_m=floors_m, sigma_m=SIGMA_M)
+    tops = [extent(shape)[1, 2] for shape in apart.shapes]
+    assert tops == pytest.approx([0.05, 0.12, 0.055], abs=2 * HALF_M)
+    assert extent(apart.shapes[1])[0, 2] == pytest.approx(0.05, abs=2 * HALF_M)
+    np.testing.assert_array_equal(apart.shapes[2].mesh.vertices, beside.mesh.vertices)
+    (way,) = [way for way in apart.gave_way if way.index == 0]
+    assert (way.other, way.moved) == (1, True)
+    assert way.seen_m == pytest.approx(0.0022, abs=2 * HALF_M)
