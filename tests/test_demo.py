@@ -87,11 +87,12 @@ def test_names_cannot_break_out_of_the_page(shown: tuple[Path, tuple[DemoScene, 
 
 @pytest.mark.slow
 def test_demo_of_its_own_scenes_completes_all_objects(tmp_path: Path) -> None:
-    clutter, single = run_demo(tmp_path)
+    scenes = clutter, single, room = run_demo(tmp_path)
     assert len(clutter.items) >= len(CLUTTER)
-    assert len(single.items) == len(SINGLE)
-    assert all(item.completion.mesh.is_volume for scene in (clutter, single) for item in scene.items)
-    for scene in (clutter, single):
+    assert (len(single.items), len(room.items)) == (len(SINGLE), len(ROOM))
+    assert "5 of 5 objects stand" in room.pictures["standing.png"]
+    assert all(item.completion.mesh.is_volume for scene in scenes for item in scene.items)
+    for scene in scenes:
         assert "depth.png" in scene.pictures
         for path in scene.folder.glob("*.xml"):
             mujoco.MjModel.from_xml_path(str(path))  # pyright: ignore[reportAttributeAccessIssue]
