@@ -18,6 +18,7 @@ from gfp_grasp.demo.demo_scene import (
     CLUTTER,
     FILE,
     HEADINGS,
+    ROOM,
     SINGLE,
     DemoScene,
     figures_row,
