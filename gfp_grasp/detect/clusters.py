@@ -44,7 +44,7 @@ def concavity(
     Args:
         points: (h, w, 3) m.
         chosen: (h, w) bool, where all three points must lie.
-        depth: (h, w) m, distance from the eye.
+        depth: (h, w) m, distance from the eye; 0 where nothing came back.
         eye: (3,) m.
         focal_px: Focal length.
         jump: (h, w) m; a depth step beyond it breaks a chord.
@@ -55,7 +55,9 @@ def concavity(
     """
     rays = points - eye
     rays /= np.maximum(depth, 1e-9)[:, :, None]
-    smooth = eye + rays * ndimage.median_filter(depth, _SMOOTH_PX)[:, :, None]
+    # Where nothing came back, the nearest return stands in, so that the edge of a hole is no crease.
+    nearest = np.asarray(ndimage.distance_transform_edt(depth == 0, return_distances=False, return_indices=True))
+    smooth = eye + rays * ndimage.median_filter(depth[nearest[0], nearest[1]], _SMOOTH_PX)[:, :, None]
     arm_px = max(3, round(focal_px * arm_m / float(np.median(depth[chosen]))))
     largest = np.zeros(chosen.shape)
     for dy, dx in ((0, 1), (1, 0), (1, 1), (1, -1)):
