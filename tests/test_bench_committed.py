@@ -106,7 +106,6 @@ def test_figures_of_scores_follow_from_their_rows(name: str):
     assert json.loads(again.to_json()) == report
 
 
-@pytest.mark.skipif(not (RESULTS / "ready.json").is_file(), reason="readiness has not been measured yet")
 def test_figures_of_readiness_follow_from_their_rows_and_are_of_every_completer():
     report = committed("ready")
     views = [ViewRow(**row) for row in report["trials"]]

@@ -5,6 +5,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 import trimesh
+from placed_boxes import box, together
 
 from gfp_grasp.camera import SensorModel, apply_sensor, intrinsics, render_mesh_view
 from gfp_grasp.detect.continuation import join_behind
@@ -14,20 +15,6 @@ from gfp_grasp.types import TABLETOP, SupportPlane
 EYE = np.array([0.1, -0.65, 0.7])
 POST = ((0.05, 0.05, 0.16), (0.0, -0.05, 0.2), 0.0)
 BAR = ((0.22, 0.05, 0.06), (0.0, 0.1, 0.2), 10.0)
-
-
-def together(parts: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
-    """Several bodies as one thing."""
-    made = trimesh.util.concatenate(list(parts))
-    assert isinstance(made, trimesh.Trimesh)
-    return made
-
-
-def box(extents, place, turn_deg: float = 0.0) -> trimesh.Trimesh:
-    """A box whose bottom has its middle at a place."""
-    made = trimesh.creation.box(extents)
-    turn = rotation_about((0, 0, 1), np.radians(turn_deg))
-    return made.apply_transform(make_T(turn, np.add(place, (0, 0, extents[2] / 2))))
 
 
 def joined(things: Sequence[trimesh.Trimesh], split: Sequence[int], *, T=None) -> np.ndarray:

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from placed_boxes import box
 
 from gfp_grasp.camera import SensorModel, apply_sensor, intrinsics, render_mesh_view
 from gfp_grasp.detect import DetectConfig, make_detection, on_each_other
@@ -14,13 +15,6 @@ from gfp_grasp.types import Detection, SupportPlane
 
 TOP_M = 0.3
 TABLE = SupportPlane(np.array([0.0, 0.0, 1.0]), TOP_M)
-
-
-def box(extents, place, turn_deg: float = 0.0) -> trimesh.Trimesh:
-    """A box whose bottom has its middle at a place."""
-    made = trimesh.creation.box(extents)
-    turn = rotation_about((0, 0, 1), np.radians(turn_deg))
-    return made.apply_transform(make_T(turn, np.add(place, (0, 0, extents[2] / 2))))
 
 
 def detections(things: Sequence[trimesh.Trimesh], *, T=None, sigma_m: float = 0.001) -> tuple[Detection, ...]:

@@ -2,11 +2,11 @@
 
 import hashlib
 import json
-from collections.abc import Sequence
 
 import numpy as np
 import pytest
 import trimesh
+from placed_boxes import box, together
 
 from gfp_grasp.assets import data_file
 from gfp_grasp.camera import SensorModel, apply_sensor, intrinsics, render_mesh_view
@@ -23,20 +23,6 @@ TABLE = SupportPlane(np.array([0.0, 0.0, 1.0]), 0.2)
 WHOLE = Table(TABLE, WHOLE_OUTLINE, 0.015, 0.15)
 UP = np.array([0.0, 0.0, 1.0])
 EYE = np.array([0.1, -0.6, 0.75])
-
-
-def together(parts: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
-    """Several bodies as one thing."""
-    made = trimesh.util.concatenate(list(parts))
-    assert isinstance(made, trimesh.Trimesh)
-    return made
-
-
-def box(extents, place, turn_deg: float = 0.0) -> trimesh.Trimesh:
-    """A box whose bottom has its middle at a place."""
-    made = trimesh.creation.box(extents)
-    made.apply_transform(make_T(rotation_about((0, 0, 1), np.radians(turn_deg)), np.add(place, (0, 0, extents[2] / 2))))
-    return made
 
 
 def iou(a: np.ndarray, b: np.ndarray) -> float:

@@ -13,7 +13,7 @@ from gfp_grasp.detect.clusters import cut_picture, keep_objects
 from gfp_grasp.detect.continuation import join_behind
 from gfp_grasp.detect.instances import PITCH_M, Votes, gather_votes, level_picture, vote
 from gfp_grasp.detect.stacking import lower_outline, meets_below
-from gfp_grasp.detect.tables import Table, keep_on_table, noise_growth
+from gfp_grasp.detect.tables import Table, keep_on_table, noise_at, noise_growth
 from gfp_grasp.types import DepthImage, SensorProfile, SupportPlane
 
 _MARGIN_PX = 24  # that the network sees around what is above the table
@@ -71,9 +71,8 @@ def _meets(
     number: int, labels: np.ndarray, points: np.ndarray, image: DepthImage, table: Table, sensor: SensorProfile
 ) -> bool:
     """Whether an object touches what is seen below it, or ends where the picture ends."""
-    range_m = np.linalg.norm(np.nanmedian(points[labels == number], axis=0) - image.viewpoint)
     outline = lower_outline(number, labels, points, image, table.plane, sigma_m=sensor.sigma_m)
-    near = meets_below(outline, sensor.sigma_m * float(noise_growth(np.asarray(range_m))))
+    near = meets_below(outline, noise_at(points[labels == number], image.viewpoint, sensor))
     return len(near) < _LEAST_OUTLINE_PX or float(near.mean()) > _MET
 
 

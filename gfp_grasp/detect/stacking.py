@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from gfp_grasp.detect.tables import noise_growth
+from gfp_grasp.detect.tables import noise_at
 from gfp_grasp.types import DepthImage, Detection, SupportPlane
 
 # Multiples of the noise at an object's distance:
@@ -122,8 +122,7 @@ def _foot_m(
     """Height of an object's foot along up where other objects carry it; None where the table does."""
     support = detection.support
     assert support is not None
-    range_m = np.linalg.norm(np.median(detection.cloud.points, axis=0) - view.viewpoint)
-    noise_m = detection.sensor.sigma_m * float(noise_growth(np.asarray(range_m)))
+    noise_m = noise_at(detection.cloud.points, view.viewpoint, detection.sensor)
     outline = lower_outline(number, labels, points, view, support, sigma_m=detection.sensor.sigma_m)
     near = meets_below(outline, noise_m)
     carried = near & (outline.by > 0)

@@ -99,6 +99,12 @@ def noise_growth(range_m: np.ndarray) -> np.ndarray:
     return np.maximum(1.0, (range_m / _NOISE_AT_M) ** 2)
 
 
+def noise_at(points: np.ndarray, viewpoint: np.ndarray, sensor: SensorProfile) -> float:
+    """The sensor's noise at the distance of points (n, 3) m, which may be NaN, from its viewpoint, m."""
+    range_m = np.linalg.norm(np.nanmedian(points, axis=0) - viewpoint)
+    return sensor.sigma_m * float(noise_growth(np.asarray(range_m)))
+
+
 def find_table(image: DepthImage, up: np.ndarray | None, *, sensor: SensorProfile) -> Tables:
     """The plane that the objects of a picture stand on.
 

@@ -28,9 +28,9 @@ _NUM_ROUNDS = 8
 def guess_up(points: np.ndarray, viewpoint: np.ndarray | None, view: View | None) -> np.ndarray:
     """The likely up (3,) of an object alone; a warning says which, and what the frame was taken for.
 
-    Of a level camera's elevations, the one at which the object is most like a surface of revolution, all of whose
-    normals pass through its axis (Pottmann and Randrup, 1998); where none stands out, the one at which the classifier
-    is surest.
+    The camera is taken to be level, and its elevation to be the one at which the object is most like a surface of
+    revolution, all of whose normals pass through its axis (Pottmann and Randrup, 1998); where none stands out, the
+    elevation at which the classifier is surest decides.
     """
     ups, coarse, frame = _possible_ups(points, viewpoint, view)
     up = _axis_of_revolution(points, viewpoint, ups) if len(ups) > len(coarse) else None

@@ -15,6 +15,7 @@ import numpy as np
 from gfp_grasp.errors import InvalidOption, InvalidScene, UnreadableFile
 
 SECONDS = 2.0
+_DIVERGED = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
 MOST_TILT_DEG, MOST_TRAVEL_M = 5.0, 0.005
 _SPACE_M = 1.0  # of the floor below everything, beside what stands on it
 
@@ -122,15 +123,19 @@ def _settled(model: mujoco.MjModel, seconds: float) -> SettledScene:
     return SettledScene(model, data, tuple(found))
 
 
+def diverged(data: mujoco.MjData) -> bool:
+    """Whether a number of the simulation was not finite; MuJoCo has then started anew."""
+    return any(data.warning[kind].number for kind in _DIVERGED)
+
+
 def _simulated(model: mujoco.MjModel, data: mujoco.MjData, seconds: float) -> bool:
     """Simulate for a time, and say whether all numbers stayed finite; the first that does not ends it.
 
     MuJoCo resets a state that is not finite, and its time with it, and counts a warning.
     """
-    bad = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
     while data.time < seconds:
         mujoco.mj_step(model, data)
-        if any(data.warning[kind].number for kind in bad):
+        if diverged(data):
             return False
     return True
 

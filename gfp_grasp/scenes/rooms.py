@@ -15,6 +15,7 @@ import trimesh
 
 from gfp_grasp.camera import SensorModel, apply_sensor, intrinsics, render_mesh_view, sample_viewpoint
 from gfp_grasp.errors import InvalidOption, InvalidScene
+from gfp_grasp.scenes.check import diverged
 from gfp_grasp.scenes.world import place_clutter
 from gfp_grasp.shapes import FAMILIES, SPLITS, make_assorted, make_shape, split_seeds
 from gfp_grasp.transforms import make_T, rotation_about
@@ -27,7 +28,6 @@ _LARGEST_M = 0.35  # extent of a thing on a table
 _HULL_VERTICES = 40
 _FRICTION = (0.8, 0.005, 0.001)  # sliding, and torsion and rolling in m
 _FALL_S = 1.5
-_DIVERGED = (mujoco.mjtWarning.mjWARN_BADQPOS, mujoco.mjtWarning.mjWARN_BADQVEL, mujoco.mjtWarning.mjWARN_BADQACC)
 _STEP_S = 0.004
 _BELOW_M = -0.03  # what has its middle lower than this has fallen off the table
 _KINDS = {"train": range(1000), "val": range(1000, 2000), "test": range(2000, 3000)}  # of things of no class
@@ -204,7 +204,7 @@ def _dropped(
         data.qpos[7 * number : 7 * number + 3] = T[:3, 3]
         mujoco.mju_mat2Quat(data.qpos[7 * number + 3 : 7 * number + 7], T[:3, :3].ravel())
     mujoco.mj_step(model, data, nstep=round((_FALL_S + np.sqrt(2 * top / 9.81)) / _STEP_S))
-    if any(data.warning[kind].number for kind in _DIVERGED):  # MuJoCo has then started anew
+    if diverged(data):
         return _apart(things, size, rng)
     rested = []
     for number, thing in enumerate(things):
