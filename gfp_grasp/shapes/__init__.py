@@ -1,6 +1,18 @@
-"""Procedural cups, mugs and bottles, and endless kinds of other things: seeded, watertight, metric, upright."""
+"""Procedural members of thirty classes, and endless kinds of other things: seeded, watertight, metric, upright."""
 
 from gfp_grasp.shapes.assorted import make_assorted
-from gfp_grasp.shapes.shape import FAMILIES, SPLITS, Shape, make_shape, split_seeds
+from gfp_grasp.shapes.family import Family
+from gfp_grasp.shapes.shape import FAMILIES, HOUSEHOLD, SPLITS, TRAFFIC, Shape, get_family, make_shape, split_seeds
 
-__all__ = ["FAMILIES", "SPLITS", "Shape", "make_assorted", "make_shape", "split_seeds"]
+__all__ = [
+    "FAMILIES",
+    "HOUSEHOLD",
+    "SPLITS",
+    "TRAFFIC",
+    "Family",
+    "Shape",
+    "get_family",
+    "make_assorted",
+    "make_shape",
+    "split_seeds",
+]

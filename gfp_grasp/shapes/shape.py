@@ -15,13 +15,29 @@ import numpy as np
 import trimesh
 
 from gfp_grasp.errors import InvalidOption, UnknownCategory
-from gfp_grasp.shapes.bottles import make_bottle
-from gfp_grasp.shapes.cups import make_cup
-from gfp_grasp.shapes.mugs import make_mug
+from gfp_grasp.shapes.family import Family
+from gfp_grasp.shapes.household import HOUSEHOLD_FAMILIES
+from gfp_grasp.shapes.traffic import TRAFFIC_FAMILIES
 
 SPLITS = ("train", "val", "test")
+_BY_NAME = {family.name: family for family in (*HOUSEHOLD_FAMILIES, *TRAFFIC_FAMILIES)}
+FAMILIES = tuple(_BY_NAME)
+HOUSEHOLD = tuple(family.name for family in HOUSEHOLD_FAMILIES)
+TRAFFIC = tuple(family.name for family in TRAFFIC_FAMILIES)
 
 
+def get_family(name: str) -> Family:
+    """The family of a name.
+
+    Raises:
+        UnknownCategory: No such family; the message lists those that there are.
+    """
+    if name not in _BY_NAME:
+        raise UnknownCategory(f"no shape family {name!r}: choose one of {', '.join(FAMILIES)}")
+    return _BY_NAME[name]
+
+
+_OTHERS = "others"  # the split of every family that has none of its own in the file
 _MORE = 1000  # seeds from here on belong to no committed split and are for training
 
 
@@ -37,12 +53,11 @@ def split_seeds(family: str, split: str, count: int | None = None) -> tuple[int,
         UnknownCategory: No such family.
         InvalidOption: No such split.
     """
-    table = _table()
-    if family not in table:
-        raise UnknownCategory(f"no shape family {family!r}: choose one of {', '.join(table)}")
+    get_family(family)
     if split not in SPLITS:
         raise InvalidOption(f"no split {split!r}: choose one of {', '.join(SPLITS)}")
-    seeds = table[family][split]
+    table = _table()
+    seeds = table.get(family, table[_OTHERS])[split]
     if count is None:
         return seeds
     more = count - len(seeds) if split == "train" else 0
@@ -55,10 +70,6 @@ def _table() -> dict[str, dict[str, tuple[int, ...]]]:
     return {family: {split: tuple(seeds) for split, seeds in splits.items()} for family, splits in content.items()}
 
 
-FAMILIES = ("cup", "mug", "bottle")
-_MAKERS = {"cup": make_cup, "mug": make_mug, "bottle": make_bottle}
-
-
 @dataclass(frozen=True, eq=False)
 class Shape:
     """A procedural object.
@@ -66,10 +77,9 @@ class Shape:
     Attributes:
         name: Family and seed, e.g. "mug-0007".
         family: One of FAMILIES.
-        mesh: Watertight volume, m, z up, standing on z = 0, axis at x = y = 0, handle or spout towards +x, the wider
-            side of an oval body along x. Treat as read-only.
+        mesh: Watertight volume, m, z up, standing on z = 0, axis at x = y = 0, handle, spout or front towards +x, the
+            wider side of an oval body along x. Treat as read-only.
         kind: Variant within the family, e.g. "ear" for a mug's handle.
-        has_handle: Whether one can put fingers through it.
         wall_m: Thickness of the wall, m; 0 where the object is modelled as a solid.
         seed: That made it.
     """
@@ -78,9 +88,13 @@ class Shape:
     family: str
     mesh: trimesh.Trimesh
     kind: str
-    has_handle: bool
     wall_m: float
     seed: int
+
+    @property
+    def has_handle(self) -> bool:
+        """Whether the body has a hole through it, as a handle makes one."""
+        return int(self.mesh.euler_number) < 2
 
 
 def make_shape(family: str, seed: int) -> Shape:
@@ -93,10 +107,7 @@ def make_shape(family: str, seed: int) -> Shape:
     Raises:
         UnknownCategory: No such family.
     """
-    if family not in _MAKERS:
-        raise UnknownCategory(f"no shape family {family!r}: choose one of {', '.join(FAMILIES)}")
     rng = np.random.default_rng([crc32(family.encode()), seed])
-    mesh, kind, wall = _MAKERS[family](rng)
-    mesh.apply_translation([0, 0, -mesh.bounds[0, 2]])
-    has_handle = family == "mug" or kind == "jug"
-    return Shape(f"{family}-{seed:04d}", family, mesh, kind, has_handle, float(wall), int(seed))
+    made = get_family(family).make(rng)
+    made.mesh.apply_translation([0, 0, -made.mesh.bounds[0, 2]])
+    return Shape(f"{family}-{seed:04d}", family, made.mesh, made.kind, float(made.wall_m), int(seed))

@@ -8,6 +8,7 @@ import numpy as np
 import trimesh
 
 from gfp_grasp.shapes import caps
+from gfp_grasp.shapes.family import Family, Made
 from gfp_grasp.shapes.loft import inset, loft, rows, smooth_noise, smoothstep, sweep, unite
 
 _GRID = 200
@@ -38,14 +39,14 @@ class _Plan:
     power: float
 
 
-def make_bottle(rng: np.random.Generator) -> tuple[trimesh.Trimesh, str, float]:
-    """One bottle: its mesh, its kind, and its wall in metres, which is zero for a closed one: that is a solid."""
+def _make(rng: np.random.Generator) -> Made:
+    """One bottle; a closed one is a solid, its wall is zero."""
     kind = str(rng.choice(list(_KINDS), p=list(_KINDS.values())))
     plan = _plan(rng, kind)
     mesh, wall = _assembled(rng, kind, plan)
     if kind not in ("cap_down", "open"):
         _lean(rng, mesh, plan, kind)
-    return mesh, kind, wall
+    return Made(mesh, kind, wall)
 
 
 def _assembled(rng: np.random.Generator, kind: str, plan: _Plan) -> tuple[trimesh.Trimesh, float]:
@@ -220,3 +221,13 @@ def _jug_handle(rng: np.random.Generator, plan: _Plan, rising: np.ndarray) -> tr
     at = np.linspace(0, length[-1], 40)
     path = np.stack([np.interp(at, length, plane[:, 0]), np.zeros(40), np.interp(at, length, plane[:, 1])], axis=1)
     return sweep(path, np.full(40, across), np.full(40, along), power=2.5, segments=24)
+
+
+BOTTLE = Family(
+    "bottle",
+    _make,
+    "household",
+    spec={"names": {"modelnet": ("bottle",), "shapenet": ("02876657",)}},
+    variants={"jug": {}, "spray": {}},
+    members=120,
+)

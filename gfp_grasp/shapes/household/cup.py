@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
+from gfp_grasp.shapes.family import Family, Made
 from gfp_grasp.shapes.loft import loft, rounded, rows, smooth_noise, smoothstep
 from gfp_grasp.shapes.vessel import Vessel
 
@@ -20,13 +21,13 @@ _KINDS = {
 }
 
 
-def make_cup(rng: np.random.Generator) -> tuple[trimesh.Trimesh, str, float]:
-    """One cup: its mesh, its kind and its wall in metres; a lidded cup is a solid, its wall is zero."""
+def _make(rng: np.random.Generator) -> Made:
+    """One cup; a lidded cup is a solid, its wall is zero."""
     kind = str(rng.choice(list(_KINDS), p=list(_KINDS.values())))
     if kind == "lidded":
-        return _lidded(rng), kind, 0.0
+        return Made(_lidded(rng), kind)
     vessel = _stemmed(rng) if kind == "stemmed" else _plain(rng, kind)
-    return vessel.mesh(), kind, vessel.wall
+    return Made(vessel.mesh(), kind, vessel.wall)
 
 
 def side(rng: np.random.Generator, t: np.ndarray, kind: str) -> np.ndarray:
@@ -134,3 +135,13 @@ def _lidded(rng: np.random.Generator) -> trimesh.Trimesh:
         lid = rounded(corners, [0, 0.001, 0.002, 0.001, 0.002, 0.001, 0.001, 0])
     rings = np.concatenate([rows([1e-6], [0.0]), rows(radius, height), rows(lid[:, 0], lid[:, 1])])
     return loft(rings)
+
+
+CUP = Family(
+    "cup",
+    _make,
+    "household",
+    spec={"alike": ("mug",), "names": {"modelnet": ("cup",), "shapenet": ("03147509",)}},
+    variants={"lidded": {"hollow": False}, "stemmed": {}},
+    members=120,
+)

@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
-from gfp_grasp.shapes.cups import GRID, base_rounding, lip, side
+from gfp_grasp.shapes.household.cup import GRID, base_rounding, lip, side
+from gfp_grasp.shapes.family import Family, Made
 from gfp_grasp.shapes.loft import rounded, smoothstep, subtract, sweep, unite
 from gfp_grasp.shapes.vessel import Vessel
 
@@ -13,13 +14,13 @@ _HANDLES = {"round": 0.34, "d": 0.26, "ear": 0.24, "square": 0.16}
 _BODIES = {"straight": 0.45, "tapered": 0.2, "bulged": 0.25, "square": 0.1}
 
 
-def make_mug(rng: np.random.Generator) -> tuple[trimesh.Trimesh, str, float]:
-    """One mug: its mesh, the kind of its handle and its wall in metres."""
+def _make(rng: np.random.Generator) -> Made:
+    """One mug; its kind is that of its handle."""
     kind = str(rng.choice(list(_HANDLES), p=list(_HANDLES.values())))
     vessel = _body(rng)
     # Cut off half way into the wall, the handle can neither poke into the cavity nor lie flush with a surface.
     handle = subtract(_handle(rng, vessel, kind), vessel.core(0.5))
-    return unite([vessel.mesh(), handle]), kind, vessel.wall
+    return Made(unite([vessel.mesh(), handle]), kind, vessel.wall)
 
 
 def _body(rng: np.random.Generator) -> Vessel:
@@ -91,3 +92,12 @@ def _even(plane: np.ndarray, count: int) -> np.ndarray:
     at = np.linspace(0, length[-1], count)
     x, z = (np.interp(at, length, plane[:, i]) for i in (0, 1))
     return np.stack([x, np.zeros(count), z], axis=1)
+
+
+MUG = Family(
+    "mug",
+    _make,
+    "household",
+    spec={"alike": ("cup",), "names": {"shapenet": ("03797390",)}},
+    members=120,
+)

@@ -1,0 +1,58 @@
+"""A family of procedural shapes: how its members are made, and what is known of the class beside their shape."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+import numpy as np
+import trimesh
+
+# A variant has to explain a view better than its class by this many standard deviations' worth: exp(-2.5) of its share.
+_SHARE_OF_VARIANT = 0.0820849986
+
+
+@dataclass(frozen=True, eq=False)
+class Made:
+    """What a family makes of one random generator.
+
+    Attributes:
+        mesh: One watertight body, m, z up, axis at x = y = 0, a handle or the front towards +x.
+        kind: Variant within the family.
+        wall_m: Thickness of the wall, m; 0 where the object is modelled as a solid.
+    """
+
+    mesh: trimesh.Trimesh
+    kind: str
+    wall_m: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Family:
+    """A class of procedural shapes.
+
+    Attributes:
+        name: Name of the class.
+        make: Makes one member.
+        group: "household" or "traffic".
+        spec: Fields of the class's CategorySpec that its members cannot tell.
+        variants: Kinds that have a primitive of their own, because the mean of all members cannot bend into them, each
+            with the fields of its CategorySpec.
+        members: Number of shapes that the primitive is built from.
+    """
+
+    name: str
+    make: Callable[[np.random.Generator], Made]
+    group: Literal["household", "traffic"]
+    spec: Mapping[str, object] = field(default_factory=dict)
+    variants: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
+    members: int = 80
+
+    def spec_of(self, name: str) -> dict[str, object]:
+        """Fields of the CategorySpec of the class ("cup") or of one of its variants ("cup.stemmed")."""
+        _, _, variant = name.partition(".")
+        if not variant:
+            return dict(self.spec)
+        shared = {key: value for key, value in self.spec.items() if key in ("rests", "hollow", "density_kg_m3")}
+        return {**shared, "share": _SHARE_OF_VARIANT, **self.variants[variant]}

@@ -1,0 +1,5 @@
+"""Families of what stands and moves in streets; lengths are those of real vehicles and people."""
+
+from gfp_grasp.shapes.family import Family
+
+TRAFFIC_FAMILIES: tuple[Family, ...] = ()
