@@ -39,10 +39,13 @@ QUICK = BuildConfig(
 
 def _thin_cups(count):
     rng = np.random.default_rng(7)
-    return [
+    members = [
         cup(height=rng.uniform(0.08, 0.13), bottom=rng.uniform(0.025, 0.03), top=rng.uniform(0.033, 0.045), wall=0.0015)
         for _ in range(count)
     ]
+    # Faces in another order: members do not correspond by themselves.
+    members[1] = trimesh.Trimesh(members[1].vertices, np.roll(members[1].faces, 1, axis=0), process=False)
+    return members
 
 
 @pytest.fixture(scope="module")
@@ -268,6 +271,21 @@ def test_primitive_fits_a_new_member_whole(thin_primitive):
     vertices, error = fit_full_surface(thin_primitive, member)
     assert vertices.shape == thin_primitive.vertices.shape
     assert error < 0.0006
+
+
+def test_members_with_equal_faces_correspond_vertex_by_vertex():
+    block = trimesh.creation.box((0.08, 0.05, 0.1)).subdivide().subdivide().subdivide()
+    block.apply_translation([0, 0, 0.05])
+    shears = np.array([-0.5, -0.3, -0.2, 0.1, 0.25, 0.65])
+    members = [
+        trimesh.Trimesh(block.vertices + shear * block.vertices[:, 2:] * [1, 0, 0], block.faces, process=False)
+        for shear in shears
+    ]
+    primitive = build_primitive(members, "block", config=replace(QUICK, smoothing=0.0))
+    assert primitive.explained[0] > 0.999
+    coefficients = primitive.coefficient_samples[:, 0]
+    np.testing.assert_allclose(np.abs(np.ptp(coefficients)) * np.ptp(primitive.modes[0, :, 0]), 1.15 * 0.1, rtol=0.02)
+    assert abs(np.corrcoef(coefficients, shears)[0, 1]) > 1 - 1e-6
 
 
 def test_report_measures_held_out_members(thin_primitive):

@@ -80,11 +80,12 @@ def build_primitive(
     seed: int = 0,
     progress: Progress | None = None,
 ) -> GenericPrimitive:
-    """Mean, modes, scales, regions, symmetry and parts of a class, from meshes that share no vertex order.
+    """Mean, modes, scales, regions, symmetry and parts of a class, from meshes that need not share their vertex order.
 
     Members are repaired and brought into one pose; a template is bent onto each of them, replaced by the mean, and
-    bent again; Generalized Procrustes Analysis aligns the results; the mean is projected onto its moving-least-squares
-    surface and thinned out. Members that cannot be repaired or fitted are dropped and counted by reason in the card.
+    bent again; members with equal faces are one mesh in several shapes and correspond already. Generalized
+    Procrustes Analysis aligns the results; the mean is projected onto its moving-least-squares surface and thinned
+    out. Members that cannot be repaired or fitted are dropped and counted by reason in the card.
 
     Args:
         meshes: In metres, any orientation that the config admits.
@@ -101,16 +102,10 @@ def build_primitive(
     solids = _repair(meshes, dropped)
     _enough(len(solids), dropped, config)
     members = bring_into_one_pose(solids, config.orientation, rng)
-    template = remesh(members[choose_template(members, rng)], rng, config=config.remesh)
-    vertices, faces = np.zeros((0, 0, 3)), np.asarray(template.faces)
-    for round_index in range(config.rounds):
-        if round_index > 0:
-            template = remesh(_mean_mesh(vertices, faces, config), rng, config=config.remesh)
-        lost: Counter[str] = Counter()
-        vertices, faces = _correspond(template, members, lost, config, seed, progress)
-        _enough(len(vertices), dropped + lost, config)
-        if round_index == config.rounds - 1:
-            dropped += lost
+    if _share_faces(members):
+        vertices, faces = np.stack([np.asarray(member.vertices) for member in members]), np.asarray(members[0].faces)
+    else:
+        vertices, faces = _bent_template(members, dropped, config, rng, seed, progress)
     placed = _into_frame(vertices, faces, config)
     areas = _vertex_areas(placed.mean(axis=0), faces)
     model = shape_model(placed, areas, variance=config.variance, max_modes=config.max_modes)
@@ -129,6 +124,34 @@ def _repair(meshes: Sequence[trimesh.Trimesh], dropped: Counter[str]) -> list[tr
             continue
         solids.append(solid)
     return solids
+
+
+def _share_faces(members: Sequence[trimesh.Trimesh]) -> bool:
+    """Whether the members are one mesh in several shapes, whose vertices correspond already."""
+    first = members[0].faces
+    return all(len(m.vertices) == len(members[0].vertices) and np.array_equal(m.faces, first) for m in members)
+
+
+def _bent_template(
+    members: Sequence[trimesh.Trimesh],
+    dropped: Counter[str],
+    config: BuildConfig,
+    rng: np.random.Generator,
+    seed: int,
+    progress: Progress | None,
+) -> tuple[np.ndarray, np.ndarray]:
+    """The members (s, v, 3) m in the vertex order of one template, and its faces; the mean is the next template."""
+    template = remesh(members[choose_template(members, rng)], rng, config=config.remesh)
+    vertices, faces = np.zeros((0, 0, 3)), np.asarray(template.faces)
+    for round_index in range(config.rounds):
+        if round_index > 0:
+            template = remesh(_mean_mesh(vertices, faces, config), rng, config=config.remesh)
+        lost: Counter[str] = Counter()
+        vertices, faces = _correspond(template, members, lost, config, seed, progress)
+        _enough(len(vertices), dropped + lost, config)
+        if round_index == config.rounds - 1:
+            dropped += lost
+    return vertices, faces
 
 
 def _correspond(
