@@ -78,9 +78,22 @@ def test_build_without_meshes_takes_procedural_shapes(monkeypatch: pytest.Monkey
     told = {"spec": {}, "progress": "primitive of mug"}
     assert build.calls == [
         (("mug",), {"members": 7, "seed": 6, **told}),
-        (("mug",), {"members": 120, "seed": 0, **told}),
+        (("mug",), {"members": None, "seed": 0, **told}),
     ]
     assert save.calls[0] == ((MADE, Path("gps")), {})
+
+
+def test_build_without_a_class_builds_all_that_ship(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    build = recorded(monkeypatch, "gfp_grasp.train.build_shipped")
+    assert run("gps build --workers 2 --seed 3 --out cards") == 0
+    ((names, folder), told) = build.only
+    assert names[:3] == ("cup", "cup.lidded", "cup.stemmed")
+    assert folder == Path("cards")
+    assert told == {"seed": 3, "workers": 2, "progress": "primitives"}
+    assert run("gps build --limit 7") == 2
+    assert "name it" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ import trimesh
 
 from gfp_grasp.errors import InvalidOption, UnknownCategory
 from gfp_grasp.meshes import crossing_faces, sample_surface
-from gfp_grasp.shapes import FAMILIES, SPLITS, make_shape, split_seeds
+from gfp_grasp.shapes import FAMILIES, SPLITS, Family, make_shape, split_seeds
 
 HEIGHTS_M = {"cup": (0.045, 0.21), "mug": (0.065, 0.135), "bottle": (0.055, 0.37)}
 SEEDS = tuple(range(24))
@@ -142,3 +142,13 @@ def _thickness(mesh: trimesh.Trimesh) -> np.ndarray:
     points, normals = points[level], normals[level]
     hits, ray, _ = mesh.ray.intersects_location(points - 1e-5 * normals, -normals, multiple_hits=False)
     return np.linalg.norm(hits - points[ray], axis=1)
+
+
+def test_a_variant_has_what_its_class_says_and_its_own():
+    family = Family(
+        "urn", lambda rng: None, "household", {"hollow": True, "alike": ("cup",)}, {"lidded": {"hollow": False}}
+    )
+    assert family.names == ("urn", "urn.lidded")
+    assert family.spec_of("urn") == {"hollow": True, "alike": ("cup",)}
+    assert family.spec_of("urn.lidded") == {"hollow": False, "share": pytest.approx(0.0821, abs=1e-4)}
+    assert (family.members_of("urn"), family.members_of("urn.lidded")) == (80, 40)

@@ -60,6 +60,7 @@ def test_a_family_is_built_from_the_train_split_and_measured_on_the_other(built)
         "held_out_data": "procedural cups, the first 3 seeds of the val split",
         "members_used": 6,
         "held_out": 3,
+        "build_s": 0,
     }
     assert built.known_by[0][0] == 4
     assert built.known_by[0][1] == build.meshes

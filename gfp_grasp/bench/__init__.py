@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from gfp_grasp.bench.hollow import bench_hollow
     from gfp_grasp.bench.hostile import HostileConfig, bench_hostile
     from gfp_grasp.bench.methods import BRIEF, METHODS
+    from gfp_grasp.bench.primitives import bench_primitives
     from gfp_grasp.bench.ready import ReadyConfig, bench_ready
     from gfp_grasp.bench.ready_table import check_pages, ready_cells, ready_headings, write_pages
     from gfp_grasp.bench.registration import RegistrationConfig, bench_registration
@@ -37,6 +38,7 @@ _HOMES = {
     "bench_detection": ("detection", "bench_detection"),
     "bench_hollow": ("hollow", "bench_hollow"),
     "bench_hostile": ("hostile", "bench_hostile"),
+    "bench_primitives": ("primitives", "bench_primitives"),
     "bench_ready": ("ready", "bench_ready"),
     "bench_registration": ("registration", "bench_registration"),
     "bench_resets": ("speed", "bench_resets"),
@@ -65,6 +67,7 @@ __all__ = [
     "bench_detection",
     "bench_hollow",
     "bench_hostile",
+    "bench_primitives",
     "bench_ready",
     "bench_registration",
     "bench_resets",

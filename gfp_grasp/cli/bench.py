@@ -84,6 +84,53 @@ def completion(
 
 
 @bench.command()
+def primitives(
+    data: Annotated[
+        list[Path] | None,
+        typer.Option(
+            exists=True, file_okay=False, help="Folder of meshes <class>__<name>; may be given several times."
+        ),
+    ] = None,
+    folders: Gps = None,
+    workers: Workers = 1,
+    json_file: JsonFile = None,
+    pictures: Annotated[
+        Path | None, typer.Option(exists=True, file_okay=False, help="Write primitives.png and modes.png there.")
+    ] = None,
+) -> None:
+    """What each primitive costs and explains, and how near its modes come to whole real meshes."""
+    from gfp_grasp.bench import bench_primitives
+    from gfp_grasp.drawing import draw_modes, draw_primitives
+    from gfp_grasp.primitives import PrimitiveLibrary
+
+    library = PrimitiveLibrary.with_shipped(*(folders or []))
+    report = bench_primitives(data or (), library=library, workers=workers, progress=track("meshes"))
+    headings = ("primitive", "vertices", "modes", "variance", "held out, mm", "%", "drawn, mm", "parts", "off, mm", "s")
+    table(headings, [(name, *_primitive_figures(row)) for name, row in report["rows"].items()])
+    if report["fits"]:
+        fits = [
+            (f["mesh"], f["primitive"], *(f"{f[key]:.2f}" for key in ("length_m", "error_mm", "error_percent")))
+            for f in report["fits"]
+        ]
+        table(("mesh", "primitive", "length, m", "off, mm", "%"), fits, words=2)
+    if pictures is not None:
+        draw_primitives(library, pictures / "primitives.png")
+        draw_modes(library, pictures / "modes.png")
+    save_json(json_file, report)
+
+
+def _primitive_figures(row: Mapping) -> tuple[str, ...]:
+    """Cells of one primitive; a figure that its card lacks is a dash."""
+    forms = {
+        "vertices": "d", "modes": "d", "variance_kept": ".2f", "generalization_mm": ".2f",
+        "generalization_percent": ".2f", "specificity_mm": ".1f", "parts": "d",
+    }  # fmt: skip
+    cells = [format(row[key], form) if row[key] is not None else "-" for key, form in forms.items()]
+    off = row["parts_error_mm"]
+    return (*cells, "-" if off is None else f"{off[0]:.2f}", "-" if row["build_s"] is None else str(row["build_s"]))
+
+
+@bench.command()
 def registration(
     starts: Annotated[str, typer.Option(help="box, pcrnet, or both with a comma between.")] = "box,pcrnet",
     views: Annotated[int, typer.Option(min=1, help="Views of each object.")] = 4,

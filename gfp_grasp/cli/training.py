@@ -42,7 +42,9 @@ def show(category: Annotated[str, typer.Argument(help="Class, or class.subcatego
 
 @gps.command()
 def build(
-    category: Annotated[str, typer.Argument(help="Name of the class, or class.subcategory.")],
+    category: Annotated[
+        str | None, typer.Argument(help="Name of the class, or class.subcategory; left out, all that ship.")
+    ] = None,
     meshes: Annotated[Path | None, typer.Option(help="Folder of its meshes; left out, its procedural shapes.")] = None,
     folder: Annotated[Path, typer.Option("--out", help="Folder of the .safetensors, .ply and .json.")] = Path("gps"),
     orientation: Annotated[str, typer.Option(help="What is known of a folder's meshes: placed, upright, any.")] = "any",
@@ -51,13 +53,19 @@ def build(
         Path | None,
         typer.Option(exists=True, dir_okay=False, help="JSON of what is known of the class, for its card."),
     ] = None,
-    limit: Annotated[int, typer.Option(min=1, help="Number of procedural shapes.")] = 120,
+    limit: Annotated[int | None, typer.Option(min=1, help="Number of procedural shapes.")] = None,
+    workers: Workers = 1,
     seed: Seed = 0,
 ) -> None:
     """Build the primitive of any class from a set of its meshes, and measure it on some that are held out."""
     from gfp_grasp.primitives import BuildConfig, save_primitive
-    from gfp_grasp.train import build_from_folder, build_from_shapes
+    from gfp_grasp.train import build_from_folder, build_from_shapes, build_shipped, shipped_names
 
+    if category is None:
+        if meshes is not None or spec is not None or limit is not None:
+            raise InvalidOption("--meshes, --spec and --limit are of one class: name it")
+        build_shipped(shipped_names(), folder, seed=seed, workers=workers, progress=track("primitives"))
+        return
     progress, known = track(f"primitive of {category}"), _read_spec(spec)
     if meshes is None:
         primitive = build_from_shapes(category, members=limit, seed=seed, spec=known, progress=progress)

@@ -11,6 +11,7 @@ from gfp_grasp.drawing.charts import (
     write_bars,
     write_curves,
 )
+from gfp_grasp.drawing.gallery import draw_modes, draw_primitives
 from gfp_grasp.drawing.items import Item, gripper_mesh, items_of, joined_boxes, make_item, plan_among
 from gfp_grasp.drawing.pictures import (
     apart,
@@ -26,6 +27,8 @@ __all__ = [
     "Item",
     "apart",
     "bracket_chart",
+    "draw_modes",
+    "draw_primitives",
     "escaped",
     "every_nth",
     "filmed_trial",

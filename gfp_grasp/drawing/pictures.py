@@ -32,6 +32,7 @@ _FOV_DEG, _ELEVATION_RAD = 30.0, np.deg2rad(22.0)
 _MARGIN = 1.02  # share of the sphere around both shapes that the camera has in view
 _ASIDE_RAD = (0.0, np.deg2rad(100.0))
 _FARTHEST_M = 10.0
+_FROM_FRONT_LEFT = np.array([0.62, 0.62, 0.48]) / np.linalg.norm([0.62, 0.62, 0.48])
 # The nearer surface counts for so much of a pixel and takes over within this depth, so that agreement does not flicker.
 _NEARER, _AGREE_M = 0.72, 0.001
 
@@ -99,6 +100,23 @@ def overlay(truth: trimesh.Trimesh, completed: trimesh.Trimesh | None, *, seen_f
     return np.concatenate(panels, axis=1)
 
 
+def shaded_panel(mesh: trimesh.Trimesh) -> np.ndarray:
+    """Picture (h, h, 3) uint8 of one mesh on white, seen from its front and left, from a little above; it fills it."""
+    size = _SUPERSAMPLE * _PANEL_PX
+    centre, radius_m = mesh.bounds.mean(axis=0), float(np.linalg.norm(mesh.extents)) / 2
+    distance_m = _MARGIN * radius_m / np.sin(np.deg2rad(_FOV_DEG) / 2)
+    image, _ = render_mesh_view(
+        [mesh],
+        T_world_camera=look_at(centre + distance_m * _FROM_FRONT_LEFT, centre),
+        K=intrinsics(size, size, _FOV_DEG),
+        width=size,
+        height=size,
+        farthest_m=2 * distance_m,
+    )
+    colour = np.where(image.depth_m[..., None] > 0, _shaded(image, _RGB[1]), 1.0)
+    return _shrunk(colour)
+
+
 def _panel(meshes: Sequence[trimesh.Trimesh], T_world_camera: np.ndarray) -> np.ndarray:
     size = _SUPERSAMPLE * _PANEL_PX
     K = intrinsics(size, size, _FOV_DEG)
@@ -122,6 +140,11 @@ def _panel(meshes: Sequence[trimesh.Trimesh], T_world_camera: np.ndarray) -> np.
         ahead_m = np.where(both, first_m, 0.0) - np.where(both, second_m, 0.0)
         share = 0.5 + (_NEARER - 0.5) * np.tanh(ahead_m / _AGREE_M)[..., None]  # share of the second
         colour = np.where(both[..., None], share * second + (1 - share) * first, colour)
+    return _shrunk(colour)
+
+
+def _shrunk(colour: np.ndarray) -> np.ndarray:
+    """(h, w, 3) uint8 of a picture of _SUPERSAMPLE times that size, colours in 0 .. 1."""
     small = colour.reshape(_PANEL_PX, _SUPERSAMPLE, _PANEL_PX, _SUPERSAMPLE, 3).mean(axis=(1, 3))
     return (255 * np.clip(small, 0.0, 1.0)).astype(np.uint8)
 

@@ -43,6 +43,7 @@ class BuildConfig:
         max_flipped: Members on which more faces turn inside out are dropped.
         min_members: Fewer than this in the end is a failure.
         symmetry_share: Share of the members that must have a symmetry for the class to have it.
+        optional_parts: Whether some members lack a part that stands out, a handle: bodies without it are made too.
         parts: Whether the mean is decomposed into convex parts.
         licence: Licence of the meshes, for the card.
     """
@@ -57,6 +58,7 @@ class BuildConfig:
     max_flipped: float = 0.03
     min_members: int = 5
     symmetry_share: float = 0.9
+    optional_parts: bool = True
     parts: bool = True
     licence: str = ""
     correspondence: CorrespondenceConfig = field(default_factory=CorrespondenceConfig)
@@ -267,7 +269,7 @@ def _assemble(
         )
 
     variants = []
-    for parts in _subsets(region_names[len(BODY_REGIONS) :]):
+    for parts in _subsets(region_names[len(BODY_REGIONS) :]) if config.optional_parts else []:
         part = np.isin(regions, [region_names.index(name) for name in parts])
         try:
             kept, own_faces = without_part(vertices, thin, part)
@@ -326,8 +328,10 @@ def with_parts(primitive: GenericPrimitive) -> GenericPrimitive:
     from gfp_grasp.collision import part_levels  # starts a child process
 
     levels = part_levels(trimesh.Trimesh(primitive.vertices, primitive.faces, process=False))
+    errors_mm = [round(1e3 * float(error), 3) for error in levels.errors_m[-1]]
     return replace(
         primitive,
+        card={**primitive.card, "parts": len(levels.parts), "parts_error_mm": errors_mm},
         parts=levels.parts,
         part_merges=levels.merges,
         part_errors_m=levels.errors_m,

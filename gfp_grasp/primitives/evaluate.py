@@ -157,6 +157,7 @@ class PrimitiveReport:
         generalization_mm: Mean surface distance of the held-out members to their best fits.
         generalization_median_mm: Median of the same.
         generalization_worst_mm: Largest of the same.
+        generalization_percent: Mean of the same as a share of each member's longest extent.
         specificity_mm: Mean vertex distance of shapes drawn from the modes to the nearest member built from.
     """
 
@@ -167,6 +168,7 @@ class PrimitiveReport:
     generalization_mm: float
     generalization_median_mm: float
     generalization_worst_mm: float
+    generalization_percent: float
     specificity_mm: float
 
     def figures(self) -> dict[str, float]:
@@ -208,6 +210,9 @@ def measure_primitive(
         generalization_mm=float(errors.mean()),
         generalization_median_mm=float(np.median(errors)),
         generalization_worst_mm=float(errors.max()),
+        generalization_percent=float(
+            np.mean([e / (10 * m.extents.max()) for e, m in zip(errors, held_out, strict=True)])
+        ),
         specificity_mm=1e3 * specificity_m(primitive, np.random.default_rng(seed)),
     )
 

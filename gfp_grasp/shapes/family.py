@@ -49,6 +49,15 @@ class Family:
     variants: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
     members: int = 80
 
+    @property
+    def names(self) -> tuple[str, ...]:
+        """The class, then its variants as "class.variant": each has a primitive."""
+        return self.name, *(f"{self.name}.{variant}" for variant in self.variants)
+
+    def members_of(self, name: str) -> int:
+        """Number of shapes that the primitive of the class, or of one of its variants, is built from at most."""
+        return self.members if name == self.name else self.members // 2
+
     def spec_of(self, name: str) -> dict[str, object]:
         """Fields of the CategorySpec of the class ("cup") or of one of its variants ("cup.stemmed")."""
         _, _, variant = name.partition(".")

@@ -4,7 +4,14 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from gfp_grasp.train.classifier_data import CACHE, Example, alike_in, assorted_examples, class_examples
-from gfp_grasp.train.primitives import build_from_folder, build_from_shapes, procedural_members, with_spec
+from gfp_grasp.train.primitives import (
+    build_from_folder,
+    build_from_shapes,
+    build_shipped,
+    procedural_members,
+    shipped_names,
+    with_spec,
+)
 from gfp_grasp.train.views import View, ViewsConfig, across_edge, render_views, rest_rotation, shape_source
 
 if TYPE_CHECKING:
@@ -30,6 +37,7 @@ __all__ = [
     "assorted_examples",
     "build_from_folder",
     "build_from_shapes",
+    "build_shipped",
     "class_examples",
     "make_prototypes",
     "paper_loss",
@@ -38,6 +46,7 @@ __all__ = [
     "render_views",
     "rest_rotation",
     "shape_source",
+    "shipped_names",
     "shuffled",
     "train",
     "train_classifier",

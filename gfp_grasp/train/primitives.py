@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import time
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +14,9 @@ import trimesh
 
 from gfp_grasp.errors import GfpGraspError, InvalidOption, UnknownCategory
 from gfp_grasp.meshes import SUFFIXES, load_mesh, make_solid
-from gfp_grasp.parallel import Progress
-from gfp_grasp.primitives import BuildConfig, bring_into_one_pose, build_primitive, measure_primitive
-from gfp_grasp.shapes import FAMILIES, make_shape, split_seeds
+from gfp_grasp.parallel import Progress, one_thread, pmap
+from gfp_grasp.primitives import BuildConfig, bring_into_one_pose, build_primitive, measure_primitive, save_primitive
+from gfp_grasp.shapes import FAMILIES, get_family, make_shape, split_seeds
 from gfp_grasp.types import LIDAR, CategorySpec, GenericPrimitive
 
 # A folder with fewer meshes than this is used up by the build; from this on every fifth mesh is held out.
@@ -27,7 +29,7 @@ _OF_ALL_VARIANTS = 1000  # seeds of the train split among which members of one v
 def build_from_shapes(
     name: str,
     *,
-    members: int = 120,
+    members: int | None = None,
     held_out: int = 40,
     seed: int = 0,
     config: BuildConfig | None = None,
@@ -39,10 +41,11 @@ def build_from_shapes(
     Args:
         name: One of shapes.FAMILIES, or "family.variant" for those of its shapes that are of one variant.
         members: Number of shapes, the first seeds of the train split; of a variant, as many as the first thousand hold.
+            None takes the family's own number.
         held_out: Number of shapes of the validation split.
         seed: Seed of the build.
         config: How it is built; None for the default.
-        spec: Fields of the class's CategorySpec that differ from what the members tell.
+        spec: Fields of the class's CategorySpec that differ from what the members and the family tell.
         progress: Wraps the streams of members.
 
     Raises:
@@ -51,11 +54,14 @@ def build_from_shapes(
         BuildFailed: See build_primitive.
     """
     _check(name, spec)
+    started = time.perf_counter()
     family, _, variant = name.partition(".")
     if family not in FAMILIES:
         raise UnknownCategory(
             f"no shape family {family!r}: choose one of {', '.join(FAMILIES)}, or give a folder of meshes"
         )
+    members = get_family(family).members_of(name) if members is None else members
+    known = {**(get_family(family).spec_of(name) if name in get_family(family).names else {}), **(spec or {})}
     train, val = split_seeds(family, "train"), split_seeds(family, "val")
     if variant:
         train = _of_variant(family, variant, split_seeds(family, "train", _OF_ALL_VARIANTS))[:members]
@@ -63,7 +69,7 @@ def build_from_shapes(
         members, held_out = len(train), len(val)
     if not 1 <= members <= len(train) or not 1 <= held_out <= len(val):
         raise InvalidOption(f"members={members}, held_out={held_out}: 1 to {len(train)} and 1 to {len(val)} are there")
-    config = config or BuildConfig(licence=_LICENCE_OF_SHAPES)
+    config = config or BuildConfig(licence=_LICENCE_OF_SHAPES, optional_parts=bool(known.get("optional_parts", True)))
     meshes = procedural_members(name, members)
     primitive = build_primitive(meshes, name, config=config, seed=seed, progress=progress)
     figures = measure_primitive(
@@ -76,19 +82,48 @@ def build_from_shapes(
         "data": f"{shapes}, the first {members} seeds of the train split",
         "held_out_data": f"{shapes}, the first {held_out} seeds of the val split",
     }
-    return _recognisable(
-        with_spec(replace(primitive, card={**card, **primitive.card, **figures.figures()}), spec), seed, meshes
-    )
+    card |= {**primitive.card, **figures.figures(), "build_s": round(time.perf_counter() - started)}
+    return _recognisable(with_spec(replace(primitive, card=card), known), seed, meshes)
 
 
-def procedural_members(name: str, count: int = 120) -> list[trimesh.Trimesh]:
+def build_shipped(
+    names: Sequence[str], folder: Path, *, seed: int = 0, workers: int = 1, progress: Progress | None = None
+) -> list[GenericPrimitive]:
+    """Build primitives of procedural families and write them.
+
+    Args:
+        names: As of `build_from_shapes`; `shipped_names` gives all.
+        folder: Of the .safetensors, .ply and .json.
+        seed: Seed of each build.
+        workers: Number of processes.
+        progress: Wraps the stream of finished primitives.
+    """
+    return list(pmap(partial(_built, folder=folder, seed=seed), names, workers=workers, progress=progress))
+
+
+def shipped_names() -> tuple[str, ...]:
+    """The classes of all procedural families, each followed by its variants that have a primitive."""
+    return tuple(name for family in FAMILIES for name in get_family(family).names)
+
+
+def _built(name: str, *, folder: Path, seed: int) -> GenericPrimitive:
+    with one_thread():
+        primitive = build_from_shapes(name, seed=seed)
+    save_primitive(primitive, folder)
+    return primitive
+
+
+def procedural_members(name: str, count: int | None = None) -> list[trimesh.Trimesh]:
     """The first shapes of the train split of a procedural family, or of one of its variants ("family.variant").
+
+    As many as a count, or as its primitive is built from.
 
     Raises:
         UnknownCategory: No such family.
         InvalidOption: No shape of that variant.
     """
     family, _, variant = name.partition(".")
+    count = get_family(family).members_of(name) if count is None else count
     seeds = split_seeds(family, "train")
     if variant:
         seeds = _of_variant(family, variant, split_seeds(family, "train", _OF_ALL_VARIANTS))

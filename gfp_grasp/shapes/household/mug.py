@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
-from gfp_grasp.shapes.household.cup import GRID, base_rounding, lip, side
 from gfp_grasp.shapes.family import Family, Made
+from gfp_grasp.shapes.household.cup import GRID, base_rounding, lip, side
 from gfp_grasp.shapes.loft import rounded, smoothstep, subtract, sweep, unite
 from gfp_grasp.shapes.vessel import Vessel
 
