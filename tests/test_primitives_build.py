@@ -395,3 +395,14 @@ def test_class_is_built_from_remeshed_turned_scaled_and_broken_files(tmp_path):
     inside = primitive.regions == INSIDE
     assert primitive.vertices[inside, 2].max() > 0.85 * primitive.vertices[:, 2].max()
     assert float(str(primitive.card["generalization_mm"])) < 1.5
+
+
+def test_members_that_walk_have_one_scale_along_the_way_and_across_it():
+    rng = np.random.default_rng(0)
+    shape, step = rng.normal(size=(200, 3)) * [0.05, 1, 1], rng.normal(size=200)
+    sizes = np.array([0.7, 1.0, 1.0, 1.0 / 0.7])
+    strides = np.array([0.0, -1.0, 1.0, 0.0])
+    members = np.stack([size * (shape + np.outer(s * step, [1, 0, 0])) for size, s in zip(sizes, strides, strict=True)])
+    model = shape_model(members, np.ones(200))
+    np.testing.assert_allclose(model.log_scale, np.repeat(np.log(sizes)[:, None], 3, axis=1), atol=1e-6)
+    assert len(model.modes) == 1

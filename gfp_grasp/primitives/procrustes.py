@@ -207,6 +207,8 @@ _ROUNDS = 20
 _FOR_OUTLIERS = 4
 # Members that differ by less than this share of their size are alike, and none of them is an outlier.
 _ALIKE = 0.002
+# A member whose coordinates along an axis correlate less than this with the mean's has no scale of its own along it.
+_LIKE_SCALED = 0.5
 # A deviation below this share of the size is rounding.
 _NOTHING = 1e-7
 # A mode below this share of the variance has no direction worth keeping.
@@ -290,15 +292,26 @@ def _scale_and_mean(members: np.ndarray, w: np.ndarray, usual: np.ndarray) -> tu
     """Alternate each member's least-squares scale and the mean of the usual ones; their mean log scale stays zero."""
     mean = members[usual].mean(axis=0)
     log_scale = np.zeros((len(members), 3))
+    posed = _posed(members, mean, w)
     for _ in range(_ROUNDS):
         spread = w @ mean**2
-        ratio = np.einsum("v,svc,vc->sc", w, members, mean) / np.maximum(spread, 1e-300)
+        product = np.einsum("v,svc,vc->sc", w, members, mean)
+        ratio = product / np.maximum(spread, 1e-300)
+        ratio[:, posed] = product[:, ~posed].sum(axis=1, keepdims=True) / spread[~posed].sum()
         if (ratio <= 0).any():
             raise InvalidMesh("a member is turned over against the mean: its scale along an axis is not positive")
         log_scale = np.log(ratio)
         log_scale -= log_scale[usual].mean(axis=0)
         mean = (members / np.exp(log_scale)[:, None])[usual].mean(axis=0)
     return mean, log_scale, members / np.exp(log_scale)[:, None] - mean
+
+
+def _posed(members: np.ndarray, mean: np.ndarray, w: np.ndarray) -> np.ndarray:
+    """Axes (3,) bool along which some member is no scaled mean (legs that walk): they take the others' scale."""
+    length = np.einsum("v,svc->sc", w, members**2) * (w @ mean**2)
+    likeness = np.einsum("v,svc,vc->sc", w, members, mean) / np.sqrt(np.maximum(length, 1e-300))
+    posed = (np.abs(likeness) < _LIKE_SCALED).any(axis=0)
+    return posed & ~posed.all()
 
 
 def _principal(flat: np.ndarray, variance: float, most: int) -> np.ndarray:
