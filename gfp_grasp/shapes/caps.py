@@ -7,6 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import trimesh
 
+from gfp_grasp.shapes.handles import even_path
 from gfp_grasp.shapes.loft import rounded, rows, sweep
 
 Top = tuple[np.ndarray, list[trimesh.Trimesh]]
@@ -130,6 +131,43 @@ def spray(rng: np.random.Generator, neck: float, base: float) -> Top:
     return top, [head, _tube(trigger, 0.006, 0.0028, power=3.0)]
 
 
+def trigger_head(rng: np.random.Generator, neck: float, rising: np.ndarray) -> Top:
+    """A collar, a head as long as a hand is wide with a nozzle towards +x, and a trigger below it for two fingers.
+
+    Args:
+        rng: Draws sizes.
+        neck: Radius of the neck, m.
+        rising: Rings (n, 4) of the bottle from its base to its neck; the trigger keeps clear of them.
+    """
+    base = float(rising[-1, 2])
+    out, collar = neck + rng.uniform(0.0015, 0.004), rng.uniform(0.013, 0.022)
+    stalk, head_z = out * rng.uniform(0.6, 0.9), collar + rng.uniform(0.012, 0.03)
+    top = _turned(
+        [[neck, 0], [out, 0.0005], [out, collar], [stalk, collar + 0.002], [stalk, head_z], [1e-6, head_z + 0.001]],
+        [0, 0.001, 0.002, 0.001, 0.001, 0],
+        base,
+    )
+    half, wide_half = rng.uniform(0.009, 0.016), rng.uniform(0.008, 0.015)
+    z = base + head_z + 0.4 * half
+    back, front = -rng.uniform(0.02, 0.042), rng.uniform(0.034, 0.05)
+    tilt = rng.uniform(-0.1, 0.25)
+    path = np.array([[back, z - (0.4 * half)], [0.4 * back, z], [0.5 * front, z], [front, z + tilt * front]])
+    size = np.interp(
+        np.linspace(0, 1, 20), [0, 0.25, 0.6, 1], [rng.uniform(0.5, 0.9), 1.0, 0.95, rng.uniform(0.6, 0.9)]
+    )
+    head = _tube(path, wide_half * size, half * size, count=20, power=rng.uniform(2.4, 4.0))
+    tip = rng.uniform(0.005, 0.0085)
+    nose = np.array([[0.8 * front, z + 0.8 * tilt * front], [front + rng.uniform(0.006, 0.02), z + tilt * front]])
+    nozzle_end = _tube(nose, tip, tip, count=8, power=2.2)
+    drop, kick = rng.uniform(0.035, 0.06), rng.uniform(-0.004, 0.02)
+    # Clear of the collar, or the trigger would close a loop with it.
+    start = max(front * rng.uniform(0.55, 0.85), out + 0.009, out + 0.007 - kick)
+    beside = rising[rising[:, 0] > min(start, start + kick) - 0.009, 2]
+    drop = min(drop, z - float(beside.max(initial=0.0)) - 0.005)
+    lever = rounded([[start, z], [start - 0.002, z - 0.4 * drop], [start + kick, z - drop]], [0, 0.03, 0], steps=10)
+    return top, [head, nozzle_end, _tube(lever, rng.uniform(0.005, 0.009), rng.uniform(0.0024, 0.004), power=3.0)]
+
+
 CAPS: dict[str, Callable[[np.random.Generator, float, float], Top]] = {
     "screw": screw, "nozzle": nozzle, "sports": sports, "pump": pump, "spray": spray, "jug": screw,
 }  # fmt: skip
@@ -156,7 +194,4 @@ def _like(profile: np.ndarray, ring: np.ndarray, *, height: float | None = None)
 def _tube(
     path: np.ndarray, across: float | np.ndarray, along: float | np.ndarray, *, count: int = 24, power: float = 2.2
 ):
-    length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
-    at = np.linspace(0, length[-1], count)
-    points = np.stack([np.interp(at, length, path[:, 0]), np.zeros(count), np.interp(at, length, path[:, 1])], axis=1)
-    return sweep(points, np.broadcast_to(across, count), np.broadcast_to(along, count), power=power)
+    return sweep(even_path(path, count), np.broadcast_to(across, count), np.broadcast_to(along, count), power=power)

@@ -24,6 +24,7 @@ class Vessel:
         power: (n,) or number, superellipse power of the section.
         dent: Depth m of the underside within its standing ring.
         flutes: Number of waves around and their relative depth, of both surfaces.
+        segments: Vertices of a ring.
     """
 
     height: np.ndarray
@@ -35,6 +36,7 @@ class Vessel:
     power: np.ndarray | float = 2.0
     dent: float = 0.0
     flutes: tuple[int, float] = (0, 0.0)
+    segments: int = 48
 
     def mesh(self) -> trimesh.Trimesh:
         """The open body, closed surface around its wall."""
@@ -43,6 +45,7 @@ class Vessel:
         return loft(
             np.concatenate([self._underside(outside[0]), outside, self._rim(outside[-1], inside[0]), inside, axis]),
             flutes=self.flutes,
+            segments=self.segments,
         )
 
     def core(self, share: float) -> trimesh.Trimesh:
@@ -50,7 +53,7 @@ class Vessel:
         inside = self._inside(self.wall * share)
         top = inside[-1:] + np.array([0, 0, 0.01, 0])
         bottom, cover = rows([1e-6], inside[:1, 2]), rows([1e-6], top[:, 2])
-        return loft(np.concatenate([bottom, inside, top, cover]), flutes=self.flutes)
+        return loft(np.concatenate([bottom, inside, top, cover]), flutes=self.flutes, segments=self.segments)
 
     def outside(self) -> np.ndarray:
         """Rings (n, 4) of the outer surface, rising."""

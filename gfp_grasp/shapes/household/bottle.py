@@ -9,6 +9,7 @@ import trimesh
 
 from gfp_grasp.shapes import caps
 from gfp_grasp.shapes.family import Family, Made
+from gfp_grasp.shapes.handles import even_path
 from gfp_grasp.shapes.loft import inset, loft, rows, smooth_noise, smoothstep, sweep, unite
 
 _GRID = 200
@@ -28,7 +29,7 @@ _SLENDER = {"jar": (0.26, 0.5), "jug": (0.2, 0.32), "pump": (0.15, 0.34), "spray
 
 
 @dataclass(frozen=True)
-class _Plan:
+class Plan:
     """Sizes that the pieces of one bottle share, m: body height and half-width, neck base, its half-width."""
 
     body: float
@@ -49,25 +50,25 @@ def _make(rng: np.random.Generator) -> Made:
     return Made(mesh, kind, wall)
 
 
-def _assembled(rng: np.random.Generator, kind: str, plan: _Plan) -> tuple[trimesh.Trimesh, float]:
+def _assembled(rng: np.random.Generator, kind: str, plan: Plan) -> tuple[trimesh.Trimesh, float]:
     """The bottle, and its wall m."""
-    body = _body(rng, plan)
+    body = body_rings(rng, plan)
     if kind == "cap_down":
         return _cap_down(rng, body), 0.0
     if kind in ("flip_top", "jar"):
-        return loft(np.concatenate([_foot(rng, body), body, caps.wide(rng, body[-1], jar=kind == "jar")])), 0.0
+        return loft(np.concatenate([foot_rings(rng, body), body, caps.wide(rng, body[-1], jar=kind == "jar")])), 0.0
     plan = replace(plan, neck_half=min(plan.neck_half, 0.92 * float(body[-1, :2].min())))
-    rising = np.concatenate([body, _shoulder(rng, plan, body[-1])])
+    rising = np.concatenate([body, shoulder_rings(rng, plan, body[-1])])
     if kind == "open":
         return _open(rng, plan, rising)
     top, extras = caps.CAPS[kind](rng, plan.neck_half, float(rising[-1, 2]))
-    mesh = loft(np.concatenate([_foot(rng, body), rising, top]))
+    mesh = loft(np.concatenate([foot_rings(rng, body), rising, top]))
     if kind == "jug":
         extras = [_jug_handle(rng, plan, rising)]
     return (unite([mesh, *extras]) if extras else mesh), 0.0
 
 
-def _lean(rng: np.random.Generator, mesh: trimesh.Trimesh, plan: _Plan, kind: str) -> None:
+def _lean(rng: np.random.Generator, mesh: trimesh.Trimesh, plan: Plan, kind: str) -> None:
     """A slanted top, or a neck beside the middle: both slide the upper part along, so nothing can cross."""
     vertices = np.array(mesh.vertices)
     top = float(vertices[:, 2].max())
@@ -80,7 +81,7 @@ def _lean(rng: np.random.Generator, mesh: trimesh.Trimesh, plan: _Plan, kind: st
     mesh.vertices = vertices
 
 
-def _plan(rng: np.random.Generator, kind: str) -> _Plan:
+def _plan(rng: np.random.Generator, kind: str) -> Plan:
     tall = rng.uniform(*_HEIGHTS_M.get(kind, (0.1, 0.31)))
     half = float(np.clip(tall * rng.uniform(*_SLENDER.get(kind, (0.11, 0.26))), 0.016, 0.065))
     section = rng.choice(["round", "oval", "rectangular"], p=[0.9, 0.02, 0.08] if kind == "jar" else [0.46, 0.28, 0.26])
@@ -98,10 +99,10 @@ def _plan(rng: np.random.Generator, kind: str) -> _Plan:
         # Dispensers come in a few thread sizes only.
         neck_half = float(np.clip(neck_half, 0.009, min(0.016, 0.9 * thin)))
     low = 0.92 if kind in ("flip_top", "jar", "cap_down") else 1 - shoulder - 0.08
-    return _Plan(tall * low, half, tall * (low + shoulder), neck_half, aspect, power)
+    return Plan(tall * low, half, tall * (low + shoulder), neck_half, aspect, power)
 
 
-def _body(rng: np.random.Generator, plan: _Plan) -> np.ndarray:
+def body_rings(rng: np.random.Generator, plan: Plan) -> np.ndarray:
     """Rings from the base, whose edge is rounded, to the shoulder."""
     t = np.linspace(0, 1, _GRID)
     curve = 1 + (rng.choice([0.0, rng.uniform(-0.35, 0.25), rng.normal(0, 0.08)]) * (t - 0.5))
@@ -138,7 +139,7 @@ def _grooves(rng: np.random.Generator, t: np.ndarray) -> np.ndarray:
     return window * (1 - np.cos(2 * np.pi * t * rng.integers(6, 14))) / 2
 
 
-def _foot(rng: np.random.Generator, body: np.ndarray) -> np.ndarray:
+def foot_rings(rng: np.random.Generator, body: np.ndarray) -> np.ndarray:
     """The underside: flat or dented."""
     dent = rng.uniform(0.001, 0.006) if rng.random() < 0.6 else 0.0
     first = body[0]
@@ -150,7 +151,7 @@ def _foot(rng: np.random.Generator, body: np.ndarray) -> np.ndarray:
     return np.concatenate([rows([1e-6], [dent]), ring])
 
 
-def _shoulder(rng: np.random.Generator, plan: _Plan, last: np.ndarray) -> np.ndarray:
+def shoulder_rings(rng: np.random.Generator, plan: Plan, last: np.ndarray) -> np.ndarray:
     """Rings from the top of the body to the neck's base; the section turns round on the way."""
     t = np.linspace(0, 1, 70)[1:]
     if rng.random() < 0.3:
@@ -165,7 +166,7 @@ def _shoulder(rng: np.random.Generator, plan: _Plan, last: np.ndarray) -> np.nda
     return np.stack([x, y, last[2] + (plan.neck - plan.body) * t, power], axis=1)
 
 
-def _open(rng: np.random.Generator, plan: _Plan, rising: np.ndarray) -> tuple[trimesh.Trimesh, float]:
+def _open(rng: np.random.Generator, plan: Plan, rising: np.ndarray) -> tuple[trimesh.Trimesh, float]:
     """A hollow bottle without a cap: neck with its rings, and the whole cavity."""
     wall, neck = (
         rng.uniform(0.0011, 0.0025),
@@ -178,7 +179,7 @@ def _open(rng: np.random.Generator, plan: _Plan, rising: np.ndarray) -> tuple[tr
     x, y, power = (np.interp(z, bare[:, 2], bare[:, i]) for i in (0, 1, 3))
     inner = np.stack([inset(x, z, wall), inset(y, z, wall), z, power], axis=1)
     floor = rng.uniform(1.5, 3.0) * wall
-    foot = _foot(rng, rising)
+    foot = foot_rings(rng, rising)
     inner = inner[z > foot[0, 2] + floor][::-1]
     from_top = bare[-1, 2] - height
     size = rng.uniform(0.0008, 0.002)
@@ -204,7 +205,7 @@ def _cap_down(rng: np.random.Generator, body: np.ndarray) -> trimesh.Trimesh:
     return loft(np.concatenate([cap, turned, crown, rows([1e-6], crown[-1:, 2])]))
 
 
-def _jug_handle(rng: np.random.Generator, plan: _Plan, rising: np.ndarray) -> trimesh.Trimesh:
+def _jug_handle(rng: np.random.Generator, plan: Plan, rising: np.ndarray) -> trimesh.Trimesh:
     """A grip from the shoulder to the middle of the body, towards +x."""
     along, across = rng.uniform(0.006, 0.011), rng.uniform(0.009, 0.014)
     low, high = plan.body * rng.uniform(0.35, 0.6), plan.body + rng.uniform(0.2, 0.7) * (plan.neck - plan.body)
@@ -217,10 +218,7 @@ def _jug_handle(rng: np.random.Generator, plan: _Plan, rising: np.ndarray) -> tr
     ends = np.interp([low, high], rising[:, 2], rising[:, 0])
     x = x + np.interp(z, [low, high], ends)
     plane = np.concatenate([[[0.4 * ends.min(), low]], np.stack([x, z], axis=1), [[0.4 * ends.min(), high]]])
-    length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(plane, axis=0), axis=1))])
-    at = np.linspace(0, length[-1], 40)
-    path = np.stack([np.interp(at, length, plane[:, 0]), np.zeros(40), np.interp(at, length, plane[:, 1])], axis=1)
-    return sweep(path, np.full(40, across), np.full(40, along), power=2.5, segments=24)
+    return sweep(even_path(plane, 40), np.full(40, across), np.full(40, along), power=2.5, segments=24)
 
 
 BOTTLE = Family(

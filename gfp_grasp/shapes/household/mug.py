@@ -6,8 +6,9 @@ import numpy as np
 import trimesh
 
 from gfp_grasp.shapes.family import Family, Made
+from gfp_grasp.shapes.handles import loop_handle
 from gfp_grasp.shapes.household.cup import GRID, base_rounding, lip, side
-from gfp_grasp.shapes.loft import rounded, smoothstep, subtract, sweep, unite
+from gfp_grasp.shapes.loft import subtract, unite
 from gfp_grasp.shapes.vessel import Vessel
 
 _HANDLES = {"round": 0.34, "d": 0.26, "ear": 0.24, "square": 0.16}
@@ -49,49 +50,8 @@ def _handle(rng: np.random.Generator, vessel: Vessel, kind: str) -> trimesh.Trim
     low = rng.uniform(2 * along + 0.002, tall - span - 2 * along - 0.002)
     heights = np.array([low, low + span])
     reach = rng.uniform(0.02, 0.038) + along
-    path = _path(rng, kind, vessel, heights, reach, along)
-    t = np.linspace(-1, 1, len(path))
-    flare = 1 + rng.uniform(0.0, 0.6) * smoothstep((np.abs(t) - 0.55) / 0.4)
-    return sweep(path, across * flare, along * (1 + 0.4 * (flare - 1)), power=rng.choice([2.0, 2.6, 4.0]), segments=24)
-
-
-def _path(
-    rng: np.random.Generator, kind: str, vessel: Vessel, heights: np.ndarray, reach: float, along: float
-) -> np.ndarray:
-    """Centre line (n, 3) m of the handle, from its lower to its upper end."""
-    if kind == "square":
-        corner = along + rng.uniform(0.003, 0.008)
-        drop = rng.uniform(0, 0.12) * (heights[1] - heights[0])
-        plane = rounded(
-            [[0, heights[0]], [reach, heights[0] + drop], [reach, heights[1]], [0, heights[1]]],
-            [0, corner, corner, 0],
-            steps=9,
-        )
-    else:
-        phi = np.linspace(0, np.pi, 61)
-        power = {"round": rng.uniform(1.9, 2.3), "d": rng.uniform(2.7, 4.0), "ear": rng.uniform(2.0, 2.6)}[kind]
-        out = np.abs(np.sin(phi)) ** (2 / power)
-        up = -np.sign(np.cos(phi)) * np.abs(np.cos(phi)) ** (2 / power)
-        if kind == "ear":
-            out = out * (1 + rng.uniform(0.12, 0.38) * up) / 1.1
-        plane = np.stack([reach * out, heights.mean() + up * (heights[1] - heights[0]) / 2], axis=1)
-    chord = np.interp(plane[:, 1], heights, np.interp(heights, vessel.height, vessel.radius))
-    # A body that bulges between the ends must leave the fingers their room.
-    between = vessel.radius[(vessel.height > heights[0]) & (vessel.height < heights[1])]
-    bulge = max(float((between - chord.min()).max()), 0.0) * 0.7
-    x = chord + plane[:, 0] * (1 + bulge / reach)
-    plane = np.stack([x, plane[:, 1]], axis=1)
-    inward = np.array([[0.55 * chord.min(), 0.0]])
-    plane = np.concatenate([plane[:1] * [0, 1] + inward, plane, plane[-1:] * [0, 1] + inward])
-    return _even(plane, 44)
-
-
-def _even(plane: np.ndarray, count: int) -> np.ndarray:
-    """The curve at even steps of its length, (count, 3) m in y = 0."""
-    length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(plane, axis=0), axis=1))])
-    at = np.linspace(0, length[-1], count)
-    x, z = (np.interp(at, length, plane[:, i]) for i in (0, 1))
-    return np.stack([x, np.zeros(count), z], axis=1)
+    profile = vessel.height, vessel.radius
+    return loop_handle(rng, kind, profile, heights, reach=reach, along=along, across=across)
 
 
 MUG = Family(

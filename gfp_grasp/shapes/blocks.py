@@ -1,0 +1,54 @@
+"""Solids with flat sides and rounded edges, with vertices all over their sides so that they can be bent."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import trimesh
+
+_ARC_STEPS = 3
+
+
+def block(size: Sequence[float], rounding: float, *, lines: int = 11) -> trimesh.Trimesh:
+    """A block that stands on z = 0 about the axis x = y = 0, edges and corners rounded.
+
+    Args:
+        size: (3,) m.
+        rounding: Radius of edges and corners, m.
+        lines: Grid lines of each side between its rounded edges.
+    """
+    half = np.asarray(size, dtype=np.float64) / 2
+    rounding = min(rounding, 0.49 * float(half.min()))
+    mesh = lattice(*(_lines(h, rounding, lines) for h in half))
+    inner = np.clip(mesh.vertices, rounding - half, half - rounding)
+    offset = mesh.vertices - inner
+    length = np.linalg.norm(offset, axis=1, keepdims=True)
+    mesh.vertices = inner + rounding * offset / length + [0, 0, half[2]]
+    return mesh
+
+
+def lattice(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> trimesh.Trimesh:
+    """Surface of the box from the first to the last of the rising coordinates, m, with grid lines at all of them."""
+    counts = np.array([len(x), len(y), len(z)])
+    index = np.stack(np.meshgrid(*(np.arange(n) for n in counts), indexing="ij"), axis=-1)
+    on_surface = ((index == 0) | (index == counts - 1)).any(axis=-1)
+    number = np.full(counts, -1)
+    number[on_surface] = np.arange(on_surface.sum())
+    vertices = np.stack([np.asarray(c)[index[on_surface][:, i]] for i, c in enumerate((x, y, z))], axis=1)
+    faces = []
+    for axis in range(3):
+        for end in (0, -1):
+            side = np.take(number, end, axis=axis)
+            quads = np.stack([side[:-1, :-1], side[1:, :-1], side[1:, 1:], side[:-1, 1:]], axis=-1).reshape(-1, 4)
+            # The side of an odd axis turns the other way round, and so does a lower one.
+            quads = quads if (axis == 1) != (end == -1) else quads[:, ::-1]
+            faces += [quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]
+    return trimesh.Trimesh(vertices, np.concatenate(faces), process=False)
+
+
+def _lines(half: float, rounding: float, count: int) -> np.ndarray:
+    """Coordinates from -half to half, with those of even angles within the rounding."""
+    arc = half - rounding + rounding * np.tan(np.linspace(0, np.pi / 4, _ARC_STEPS + 1))[1:]
+    middle = np.linspace(rounding - half, half - rounding, count)
+    return np.concatenate([-arc[::-1], middle, arc])

@@ -1,0 +1,152 @@
+"""What a hand takes hold of: loop handles, ears, bails and long handles, as tubes whose ends reach into the body."""
+
+from __future__ import annotations
+
+import numpy as np
+import trimesh
+
+from gfp_grasp.shapes.loft import rounded, smoothstep, sweep
+from gfp_grasp.transforms import make_T, rotation_about
+
+
+def even_path(plane: np.ndarray, count: int) -> np.ndarray:
+    """The curve (n, 2) of x and z at even steps of its length, (count, 3) m in y = 0."""
+    length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(plane, axis=0), axis=1))])
+    at = np.linspace(0, length[-1], count)
+    x, z = (np.interp(at, length, plane[:, i]) for i in (0, 1))
+    return np.stack([x, np.zeros(count), z], axis=1)
+
+
+def handle_path(
+    rng: np.random.Generator,
+    kind: str,
+    profile: tuple[np.ndarray, np.ndarray],
+    heights: np.ndarray,
+    reach: float,
+    along: float,
+    *,
+    root: float = 0.55,
+) -> np.ndarray:
+    """Centre line (44, 3) m of a handle towards +x, from its lower to its upper end.
+
+    Args:
+        rng: Draws the bend.
+        kind: "round", "d", "ear" or "square".
+        profile: Heights (n,) m, rising, and radius (n,) m of the body there.
+        heights: (2,) m, where the ends meet the body.
+        reach: How far the line stands out from the body, m.
+        along: Half-thickness of the handle, m.
+        root: Where the line begins and ends, as a share of the body's smaller radius at the ends.
+    """
+    if kind == "square":
+        corner = along + rng.uniform(0.003, 0.008)
+        drop = rng.uniform(0, 0.12) * (heights[1] - heights[0])
+        plane = rounded(
+            [[0, heights[0]], [reach, heights[0] + drop], [reach, heights[1]], [0, heights[1]]],
+            [0, corner, corner, 0],
+            steps=9,
+        )
+    else:
+        phi = np.linspace(0, np.pi, 61)
+        power = {"round": rng.uniform(1.9, 2.3), "d": rng.uniform(2.7, 4.0), "ear": rng.uniform(2.0, 2.6)}[kind]
+        out = np.abs(np.sin(phi)) ** (2 / power)
+        up = -np.sign(np.cos(phi)) * np.abs(np.cos(phi)) ** (2 / power)
+        if kind == "ear":
+            out = out * (1 + rng.uniform(0.12, 0.38) * up) / 1.1
+        plane = np.stack([reach * out, heights.mean() + up * (heights[1] - heights[0]) / 2], axis=1)
+    height, radius = profile
+    chord = np.interp(plane[:, 1], heights, np.interp(heights, height, radius))
+    # A body that bulges between the ends must leave the fingers their room.
+    between = radius[(height > heights[0]) & (height < heights[1])]
+    bulge = max(float((between - chord.min()).max()), 0.0) * 0.7
+    x = chord + plane[:, 0] * (1 + bulge / reach)
+    plane = np.stack([x, plane[:, 1]], axis=1)
+    inward = np.array([[root * chord.min(), 0.0]])
+    plane = np.concatenate([plane[:1] * [0, 1] + inward, plane, plane[-1:] * [0, 1] + inward])
+    return even_path(plane, 44)
+
+
+def loop_handle(
+    rng: np.random.Generator,
+    kind: str,
+    profile: tuple[np.ndarray, np.ndarray],
+    heights: np.ndarray,
+    *,
+    reach: float,
+    along: float,
+    across: float,
+    root: float = 0.55,
+) -> trimesh.Trimesh:
+    """A handle of two ends towards +x, thicker where it meets the body; see `handle_path`; across is along y, m."""
+    path = handle_path(rng, kind, profile, heights, reach, along, root=root)
+    t = np.linspace(-1, 1, len(path))
+    flare = 1 + rng.uniform(0.0, 0.6) * smoothstep((np.abs(t) - 0.55) / 0.4)
+    return sweep(path, across * flare, along * (1 + 0.4 * (flare - 1)), power=rng.choice([2.0, 2.6, 4.0]), segments=24)
+
+
+def ears(rng: np.random.Generator, radius: float, height: float) -> list[trimesh.Trimesh]:
+    """Two level or rising loops towards +x and -x on a round body of this radius, m, at this height, m."""
+    kind = str(rng.choice(["round", "d", "square"]))
+    half = float(np.clip(radius * rng.uniform(0.28, 0.45), 0.024, 0.055))
+    along, across = rng.uniform(0.003, 0.0065), rng.uniform(0.003, 0.0085)
+    around = np.linspace(-1.4 * half, 1.4 * half, 80)
+    profile = around, np.sqrt(np.maximum(radius**2 - around**2, 1e-6))
+    reach = rng.uniform(0.022, 0.045) + along
+    loop = loop_handle(rng, kind, profile, np.array([-half, half]), reach=reach, along=along, across=across, root=0.85)
+    loop.apply_transform(make_T(rotation_about((1, 0, 0), -np.pi / 2)))
+    rise = rotation_about((0, 1, 0), -rng.choice([0.0, rng.uniform(0.0, 0.6)]))
+    loop.apply_translation([-radius, 0, 0])
+    loop.apply_transform(make_T(rise, (radius, 0, height)))
+    other = loop.copy().apply_transform(make_T(rotation_about((0, 0, 1), np.pi)))
+    return [loop, other]
+
+
+def bail(
+    rng: np.random.Generator, half: float, low: float, high: float, *, along: float, across: float
+) -> trimesh.Trimesh:
+    """An arch in the plane y = 0 over the body, from x = -half to x = half.
+
+    Args:
+        rng: Draws how square the arch is.
+        half: Half its span, m.
+        low: Height of its ends, m.
+        high: Height of the centre line in the middle, m.
+        along: Half-thickness in the plane of the arch, m.
+        across: Half-width along y of its grip, m.
+    """
+    phi = np.linspace(0, np.pi, 81)
+    power = rng.uniform(2.0, 4.5)
+    x = -half * np.sign(np.cos(phi)) * np.abs(np.cos(phi)) ** (2 / power)
+    z = low + (high - low) * np.abs(np.sin(phi)) ** (2 / power)
+    path = even_path(np.stack([x, z], axis=1), 60)
+    grip = smoothstep((0.75 - np.abs(path[:, 0]) / half) / 0.25) * (path[:, 2] > low + 0.5 * (high - low))
+    thin = rng.uniform(0.45, 1.0)
+    return sweep(path, across * (thin + (1 - thin) * grip), along * (0.8 + 0.2 * grip), power=2.4, segments=20)
+
+
+def long_handle(
+    rng: np.random.Generator, radius: float, height: float, *, length: float, along: float, across: float
+) -> trimesh.Trimesh:
+    """One long handle towards +x with a rounded end.
+
+    Args:
+        rng: Draws the bend, the rise and the course of the width.
+        radius: Where the body's side is, m.
+        height: Where the handle leaves it, m.
+        length: From the side to the end, m.
+        along: Half-thickness, m.
+        across: Half-width, m.
+    """
+    t = np.linspace(0, 1, 48)
+    rise, bend = np.tan(rng.uniform(0.0, 0.35)) * length, rng.uniform(-0.08, 0.08) * length
+    steep = rng.uniform(0.0, 1.0)
+    z = height + rise * ((1 - steep) * t + steep * smoothstep(t * 1.3)) + bend * np.sin(np.pi * t) ** 2
+    plane = np.stack([radius + length * t, z], axis=1)
+    plane = np.concatenate([[[0.85 * radius, height]], plane])
+    path = even_path(plane, 52)
+    t = np.clip((path[:, 0] - radius) / length, 0, 1)
+    neck, swell = rng.uniform(0.5, 1.0), rng.uniform(0.0, 0.25)
+    width = neck + (1 - neck) * smoothstep(t / rng.uniform(0.2, 0.5)) + swell * np.sin(np.pi * t**2)
+    end = np.sqrt(np.maximum(1 - np.clip((t - 1 + across / length) * length / across, 0, 0.97) ** 2, 0.04))
+    flat = np.interp(t, [0, 0.3, 1], [rng.uniform(0.7, 1.0), 1.0, rng.uniform(0.7, 1.1)])
+    return sweep(path, across * width * end, along * flat * np.maximum(end, 0.5), power=rng.choice([2.0, 2.8]))

@@ -1,0 +1,138 @@
+"""Known answers of what has a handle, a spout or flat sides: where things point, what is empty, how thick walls are."""
+
+import numpy as np
+import pytest
+import trimesh
+
+from gfp_grasp.shapes import make_shape
+from gfp_grasp.shapes.blocks import block
+from gfp_grasp.shapes.family import Made
+from gfp_grasp.shapes.shape import Shape
+from gfp_grasp.shapes.spouts import drawn_out
+
+NUM_SEEDS = 8
+
+
+def of_kinds(family: str, *kinds: str, count: int = NUM_SEEDS) -> list[Shape]:
+    """The first members of a family that are of some kinds; of any kind where none is named."""
+    found = (shape for seed in range(200) if (shape := make_shape(family, seed)).kind in kinds or not kinds)
+    return [next(found) for _ in range(count)]
+
+
+def half_width_y(mesh: trimesh.Trimesh) -> float:
+    return float(mesh.extents[1]) / 2
+
+
+@pytest.mark.parametrize(("family", "kind"), [("pitcher", "straight"), ("teapot", "beak"), ("kettle", "electric")])
+def test_a_handle_stands_out_towards_plus_x_and_leaves_a_hole_for_the_fingers(family, kind):
+    for shape in of_kinds(family, kind, count=4):
+        handle = shape.mesh.vertices[shape.mesh.vertices[:, 0] > half_width_y(shape.mesh) + 0.012]
+        assert shape.has_handle, shape.name
+        assert len(handle) > 20, shape.name
+        assert np.abs(handle[:, 1]).max() < 0.025, shape.name
+
+
+@pytest.mark.parametrize(("family", "kind"), [("teapot", "round"), ("kettle", "stove"), ("pitcher", "lidded")])
+def test_a_spout_or_lip_stands_out_towards_minus_x_in_the_upper_half(family, kind):
+    for shape in of_kinds(family, kind, count=4):
+        tip = shape.mesh.vertices[shape.mesh.vertices[:, 0].argmin()]
+        assert -tip[0] > half_width_y(shape.mesh) - 0.003, shape.name
+        assert abs(tip[1]) < 0.016, shape.name
+        assert tip[2] > 0.4 * shape.mesh.bounds[1, 2], shape.name
+
+
+def test_a_bail_leaves_room_for_a_hand_above_the_lid():
+    for shape in of_kinds("kettle", "stove", count=5):
+        hits, _, _ = shape.mesh.ray.intersects_location([[0, 0, 1.0]], [[0, 0, -1.0]])
+        heights = np.unique(np.round(hits[:, 2], 6))[::-1]
+        # From above: the top of the bail, its underside, and what is below it.
+        assert heights[1] - heights[2] > 0.02, shape.name
+
+
+@pytest.mark.parametrize(
+    ("family", "kinds"),
+    [("pitcher", ("straight", "bellied", "waisted")), ("pot", ("open", "saucepan")), ("pan", ()), ("box", ("open",))],
+)
+def test_open_vessels_are_empty_over_their_axis_and_have_a_floor(family, kinds):
+    for shape in of_kinds(family, *kinds, count=5):
+        assert 0.001 <= shape.wall_m <= 0.006, shape.name
+        hits, _, _ = shape.mesh.ray.intersects_location([[0.0003, 0.0002, 1.0]], [[0, 0, -1.0]])
+        floor = np.sort(np.round(hits[:, 2], 6))
+        assert len(floor) == 2, shape.name
+        assert 0.0008 < floor[1] - floor[0] < 0.017, shape.name
+        assert floor[1] < 0.35 * shape.mesh.bounds[1, 2], shape.name
+
+
+@pytest.mark.parametrize(("family", "kinds"), [("pitcher", ("straight",)), ("pot", ("open",)), ("pan", ("frying",))])
+def test_walls_are_as_thick_as_they_say(family, kinds):
+    for shape in of_kinds(family, *kinds, count=3):
+        at = 0.75 * shape.mesh.bounds[1, 2] if family == "pitcher" else 0.6 * shape.mesh.bounds[1, 2]
+        start, ahead = [[0.0, 0.0, at]], [[0.0, 1.0, 0.0]]
+        if family == "pan":
+            start = [[0.0, 0.0, 0.5 * min(0.03, shape.mesh.bounds[1, 2])]]
+        hits, _, faces = shape.mesh.ray.intersects_location(start, ahead)
+        near = np.argsort(hits[:, 1])[:2]
+        normal = shape.mesh.face_normals[faces[near[1]]]
+        # Along the normal of a leaning side, not along the ray.
+        assert np.ptp(hits[near, 1]) * normal[1] == pytest.approx(shape.wall_m, rel=0.35), shape.name
+
+
+def test_ears_of_a_pot_are_at_both_sides_along_x_and_alike():
+    for shape in of_kinds("pot", "open", count=5):
+        low, high = shape.mesh.bounds
+        assert shape.mesh.euler_number == -2, shape.name
+        assert high[0] == pytest.approx(-low[0], abs=1e-4), shape.name
+        assert high[0] - high[1] > 0.02, shape.name
+
+
+@pytest.mark.parametrize("family", ["pan", "pot"])
+def test_a_long_handle_reaches_further_than_a_hand_is_wide(family):
+    for shape in of_kinds(family, *(("saucepan",) if family == "pot" else ()), count=5):
+        assert shape.mesh.bounds[1, 0] + shape.mesh.bounds[0, 0] > 0.11, shape.name
+        assert not shape.has_handle, shape.name
+
+
+def test_a_gable_ends_in_a_thin_fin_along_x_in_the_middle():
+    for shape in of_kinds("carton", "gable", count=5):
+        top = shape.mesh.vertices[shape.mesh.vertices[:, 2] > shape.mesh.bounds[1, 2] - 0.001]
+        assert np.ptp(top[:, 0]) > 0.9 * shape.mesh.extents[0], shape.name
+        assert 0.002 < np.ptp(top[:, 1]) < 0.005, shape.name
+        assert top[:, 1].mean() == pytest.approx(0.0, abs=1e-3), shape.name
+
+
+def test_a_sprayer_points_towards_plus_x_at_its_top_and_its_trigger_hangs_free():
+    for shape in of_kinds("spray_bottle", count=NUM_SEEDS):
+        tip = shape.mesh.vertices[shape.mesh.vertices[:, 0].argmax()]
+        assert tip[2] > 0.75 * shape.mesh.bounds[1, 2], shape.name
+        assert shape.mesh.euler_number == 2, shape.name
+
+
+def test_a_box_has_its_wider_side_along_x_and_fills_its_bounds():
+    for shape in of_kinds("box", "packet", "shipping", "book"):
+        assert shape.mesh.extents[0] > 0.94 * shape.mesh.extents[1], shape.name
+        assert shape.mesh.volume / np.prod(shape.mesh.extents) > 0.88, shape.name
+
+
+def test_a_block_has_the_volume_of_a_rounded_box():
+    size, r = np.array([0.2, 0.1, 0.06]), 0.01
+    a, b, c = size - 2 * r
+    rounded = a * b * c + 2 * r * (a * b + b * c + a * c) + np.pi * r**2 * (a + b + c) + 4 / 3 * np.pi * r**3
+    mesh = block(size, r)
+    assert mesh.is_volume
+    assert mesh.volume == pytest.approx(rounded, rel=0.002)
+    np.testing.assert_allclose(mesh.bounds, [[-0.1, -0.05, 0.0], [0.1, 0.05, 0.06]], atol=1e-12)
+
+
+def test_a_drawn_out_rim_moves_at_minus_x_only_and_leaves_what_is_within():
+    points = np.array([[-0.05, 0, 0.1], [0.05, 0, 0.1], [-0.05, 0, 0.05], [-0.02, 0, 0.1]])
+    moved = drawn_out(points, top=0.1, below=0.03, out=0.01, rise=0.004, width=0.4, within=0.03)
+    np.testing.assert_allclose(moved[0], [-0.06, 0, 0.104], atol=1e-9)
+    np.testing.assert_allclose(moved[1:], points[1:], atol=1e-9)
+
+
+def test_members_are_made_alike_twice():
+    for family in ("teapot", "carton", "spray_bottle"):
+        first, second = make_shape(family, 3), make_shape(family, 3)
+        np.testing.assert_array_equal(first.mesh.vertices, second.mesh.vertices)
+        assert isinstance(first.mesh, trimesh.Trimesh)
+        assert Made(first.mesh, first.kind).wall_m == 0.0
