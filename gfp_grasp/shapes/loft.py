@@ -112,7 +112,13 @@ def rows(
     return np.stack([radius, radius * aspect, height, np.broadcast_to(power, radius.shape)], axis=1)
 
 
-def loft(rings: np.ndarray, *, segments: int = 48, flutes: tuple[int, float] = (0, 0.0)) -> trimesh.Trimesh:
+def loft(
+    rings: np.ndarray,
+    *,
+    segments: int = 48,
+    flutes: tuple[int, float] = (0, 0.0),
+    longest_m: float = _LONGEST_STEP,
+) -> trimesh.Trimesh:
     """Closed mesh through rings, from the lowest row's middle to the last row's middle.
 
     Args:
@@ -120,8 +126,9 @@ def loft(rings: np.ndarray, *, segments: int = 48, flutes: tuple[int, float] = (
             the last become points on the axis.
         segments: Vertices of a ring.
         flutes: Number of waves around and their relative depth.
+        longest_m: Two rings are at most about so far from each other.
     """
-    rings = _thin(np.asarray(rings, dtype=np.float64))
+    rings = _thin(np.asarray(rings, dtype=np.float64), longest_m)
     inner = rings[1:-1]
     angles = _angles(inner, segments)
     cos, sin = np.cos(angles)[None], np.sin(angles)[None]
@@ -164,6 +171,17 @@ def sweep(
     return mesh
 
 
+def skin(rings: np.ndarray) -> trimesh.Trimesh:
+    """Closed mesh through rings of vertices, the first and the last closed by fans around their middles.
+
+    Args:
+        rings: (n, k, 3) m; seen from where the rings go to, each turns left.
+    """
+    ends = rings[[0, -1]].mean(axis=1)
+    vertices = np.concatenate([ends[:1], rings.reshape(-1, 3), ends[1:]])
+    return trimesh.Trimesh(vertices, ring_faces(len(rings), rings.shape[1]), process=False)
+
+
 def ring_faces(num_rings: int, segments: int) -> np.ndarray:
     """Faces (f, 3) of a point, rings of vertices, and a point, outward for rings that turn left and rise."""
     here = np.arange(segments)
@@ -177,10 +195,10 @@ def ring_faces(num_rings: int, segments: int) -> np.ndarray:
     return np.concatenate([bottom, quads[:, [0, 1, 3]], quads[:, [0, 3, 2]], top])
 
 
-def _thin(rings: np.ndarray) -> np.ndarray:
+def _thin(rings: np.ndarray, longest_m: float) -> np.ndarray:
     distinct = np.linalg.norm(np.diff(rings[:, :3], axis=0), axis=1) > _COINCIDENT
     rings = rings[np.concatenate([[True], distinct])]
-    kept = rings[thinned(rings[:, :3], tolerance=_PROFILE_TOLERANCE, longest=_LONGEST_STEP)]
+    kept = rings[thinned(rings[:, :3], tolerance=_PROFILE_TOLERANCE, longest=longest_m)]
     middle = kept[(kept[:, 0] > 1e-4) & (kept[:, 1] > 1e-4)]
     return np.concatenate([rings[:1], middle, rings[-1:]])
 
