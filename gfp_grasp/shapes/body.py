@@ -15,7 +15,7 @@ from gfp_grasp.shapes.wheel import Wheel
 Range = tuple[float, float]
 
 _TOLERANCE_M = 0.004
-_CLOSEST_M = 0.003  # sections nearer to each other are one
+_DECIMALS = 3  # sections stand on whole millimetres: none is too close to another
 _SMOOTH_M = 0.06  # the creases of the front silhouette are blurred over twice this height
 _ARC = np.linspace(0, np.pi / 2, 5)
 _FLANK = np.linspace(0, 1, 7)[1:]
@@ -66,9 +66,8 @@ class Body:
     def _stations(self) -> np.ndarray:
         """Places m of the sections: no curve between two of them is far from straight."""
         x = np.unique(np.concatenate([self.upper[:, 0], self.lower[:, 0], self.plan[:, 0]]))
-        x = np.concatenate([x, (x[1:] + x[:-1]) / 2])
-        x = np.unique(np.concatenate([x, np.arange(x.min(), x.max(), self.longest / 2)]))
-        x = x[np.concatenate([[True], np.diff(x) > _CLOSEST_M])]
+        even = np.arange(x.min(), x.max(), self.longest / 2)
+        x = np.unique(np.round(np.concatenate([x, (x[1:] + x[:-1]) / 2, even]), _DECIMALS))
         curves = [np.interp(x, *curve.T) for curve in (self.upper, self.lower, self.plan)]
         return x[thinned(np.column_stack([x, *curves]), tolerance=_TOLERANCE_M, longest=self.longest)]
 

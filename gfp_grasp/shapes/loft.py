@@ -220,10 +220,11 @@ _JITTER_M = 1e-6
 _SLIVER_M = 1e-5
 
 
-def unite(meshes: Sequence[trimesh.Trimesh]) -> trimesh.Trimesh:
-    """Union of closed meshes, jittered by at most a micrometre."""
+def unite(meshes: Sequence[trimesh.Trimesh], *, longest_m: float | None = None) -> trimesh.Trimesh:
+    """Union of closed meshes, jittered by at most a micrometre; edges longer than `longest_m` are split evenly."""
     whole = manifold3d.Manifold.batch_boolean([_solid(mesh) for mesh in meshes], manifold3d.OpType.Add)
-    mesh = _mesh(whole.simplify(_SLIVER_M))
+    whole = whole.simplify(_SLIVER_M)
+    mesh = _mesh(whole if longest_m is None else whole.refine_to_length(longest_m))
     room = np.minimum(_JITTER_M, 0.05 * _smallest_altitudes(mesh.vertices, mesh.faces))
     turn = np.random.default_rng(len(mesh.vertices)).uniform(-1, 1, mesh.vertices.shape)
     return trimesh.Trimesh(mesh.vertices + room[:, None] * turn, mesh.faces, process=False)

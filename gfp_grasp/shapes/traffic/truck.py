@@ -2,18 +2,17 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import trimesh
 
-from gfp_grasp.shapes.body import Body, Range, both_sides, on_wheels, plan_of, straight_body
+from gfp_grasp.shapes.body import Body, Range, both_sides, on_wheels, straight_body
 from gfp_grasp.shapes.family import Family, Made
-from gfp_grasp.shapes.loft import rounded, subtract, unite
+from gfp_grasp.shapes.loft import rounded, unite
 
-_KINDS = {"box": 0.4, "flatbed": 0.12, "tipper": 0.13, "tank": 0.07, "fire": 0.13, "semi": 0.15}
+_KINDS = {"box": 0.4, "flatbed": 0.12, "tipper": 0.14, "tank": 0.08, "fire": 0.13, "semi": 0.13}
 _LENGTHS_M = {"semi": (11.0, 17.0), "tank": (6.5, 10.5), "fire": (6.0, 12.5)}
-_FRAME_HALF_M = 0.5
 
 
 @dataclass(frozen=True)
@@ -37,18 +36,18 @@ def _make(rng: np.random.Generator) -> Made:
     """One lorry: cab, frame, load and wheels."""
     kind = str(rng.choice(list(_KINDS), p=list(_KINDS.values())))
     plan = _plan(rng, kind)
-    bodies = [_cab(rng, plan).mesh(), _frame(plan).mesh(), _load(rng, plan)]
-    if kind != "semi" and rng.random() < 0.7:
-        bodies.append(_side_boxes(rng, plan))
+    frame = plan.half * rng.uniform(0.7, 0.95)
+    front, *others = _axles(rng, plan)
+    bodies = [_cab(rng, plan).mesh(), *_frame(rng, plan, frame, others), _load(rng, plan)]
     dish, shoulder, rim = rng.uniform(0.03, 0.12), rng.uniform(0.02, 0.05), rng.uniform(0.54, 0.62)
     features = {"rim": rim, "shoulder": shoulder, "hub": rng.uniform(0.15, 0.3)}
     outer = plan.half * rng.uniform(0.95, 1.0)
-    front, *others = _axles(rng, plan)
+    gap, depth = rng.uniform(0.05, 0.1), rng.uniform(0.12, 0.3)
+    broad = max(outer - frame, depth) + 0.15
     wheels = both_sides(front, outer, plan.tyre, 0.5, dish=0.3 * dish, **features)
     for x in others:
-        wheels += both_sides(x, outer, plan.tyre, outer - _FRAME_HALF_M + 0.08, dish=dish, **features)
+        wheels += both_sides(x, outer, plan.tyre, broad, dish=dish, **features)
     segments = 24 if len(wheels) <= 6 else 16
-    gap, depth = rng.uniform(0.05, 0.1), rng.uniform(0.12, 0.3)
     return Made(on_wheels(bodies, wheels, gap=gap, depth=depth, segments=segments), kind)
 
 
@@ -69,7 +68,7 @@ def _plan(rng: np.random.Generator, kind: str) -> _Plan:
     nose = length / 2
     return _Plan(
         kind, -nose, nose - cab, rng.uniform(0.04, 0.3), nose, 0.97 + 0.25 * size + rng.uniform(-0.03, 0.03), tyre,
-        2 * tyre + rng.uniform(0.0, 0.25), cab_high, min(high, 4.0), bonnet,
+        2 * tyre + rng.uniform(0.11, 0.3), cab_high, min(high, 4.0), bonnet,
     )  # fmt: skip
 
 
@@ -79,20 +78,21 @@ def _cab(rng: np.random.Generator, plan: _Plan) -> Body:
     roof = max(plan.high, tall) if plan.kind in ("box", "semi") and rng.random() < 0.4 else tall
     lean, edge = rng.uniform(0.05, 0.45), nose - plan.bonnet
     waist = max(rng.uniform(0.44, 0.56) * tall, 2 * tyre + 0.3)
-    grille = waist - rng.uniform(0.02, 0.12) - 0.12 * plan.bonnet
+    grille = max(waist - rng.uniform(0.02, 0.12) - 0.12 * plan.bonnet, 2 * tyre + 0.2)
     bumper = rng.uniform(0.6, 0.85)
+    snout = min(0.1 * plan.bonnet, 0.08)
     corners = [
         [tail, roof - 0.02], [tail + 0.3, roof], [edge - lean - 0.2, tall + 0.01], [edge - lean, tall - 0.04],
-        [edge, waist], [nose - 0.4 * plan.bonnet, grille], [nose - 0.1 * plan.bonnet, bumper + 0.04], [nose, bumper],
+        [edge, waist], [nose - 3 * snout, grille], [nose - snout, bumper + 0.04], [nose, bumper],
     ]  # fmt: skip
     low = rng.uniform(0.35, 0.55)
-    length = nose - tail
-    outline = plan_of(rng, length, plan.half, tail=(0.001, 0.005), nose=(0.03, 0.1))
+    front = (nose - tail) * rng.uniform(0.03, 0.12)
+    outline = [[tail, plan.half], [nose - front, plan.half], [nose, plan.half * rng.uniform(0.75, 0.92)]]
     flat = np.array([[0.3, 1.0], [waist, 1.0], [tall, rng.uniform(0.86, 0.98)], [max(roof, tall + 0.1), 0.85]])
     return Body(
         rounded(corners, rng.uniform(0.4, 1.4) * np.array([0, 0.2, 0.1, 0.15, 0.2, 0.15, 0.05, 0])),
         np.array([[tail, low + 0.1], [nose - 0.4, low], [nose, low + 0.02]]),
-        np.maximum(outline + [[(nose + tail) / 2, 0]], [[-np.inf, 0.8 * plan.half]]),
+        rounded(outline, [0, front, 0]),
         flat,
         belt=waist,
         round_top=rng.uniform(0.04, 0.2),
@@ -101,9 +101,20 @@ def _cab(rng: np.random.Generator, plan: _Plan) -> Body:
     )
 
 
-def _frame(plan: _Plan) -> Body:
-    """What bears cab and load."""
-    return straight_body((plan.tail + 0.04, plan.nose - 0.5), _FRAME_HALF_M, (0.8 * plan.tyre, plan.floor + 0.06))
+def _frame(rng: np.random.Generator, plan: _Plan, half: float, axles: list[float]) -> list[trimesh.Trimesh]:
+    """What bears cab and load, with the lockers and tanks beside it; and what stands between cab and load."""
+    low, high, nose = rng.uniform(0.4, 0.75) * 2 * plan.tyre, plan.floor + 0.06, plan.nose - 0.5 - plan.bonnet
+    back, front = plan.tail + 0.04, plan.front
+    frame = straight_body((back, nose), half, (low, high))
+    if plan.kind == "semi":
+        # Nothing is below the trailer between its axles and the tractor.
+        back_end, front_end = max(axles[1:]) + plan.tyre + 0.2, axles[0] - plan.tyre - 0.2
+        under = [back_end, back_end + 0.2, front_end - 0.2, front_end]
+        steps = np.column_stack([under, [low, plan.floor - 0.05, plan.floor - 0.05, low]])
+        frame = replace(frame, lower=np.concatenate([frame.lower[:1], steps, frame.lower[1:]]))
+    tall = plan.floor + rng.uniform(0.6, 0.9) * (min(plan.cab_high, max(plan.high, plan.floor + 0.5)) - plan.floor)
+    between = straight_body((front - 0.2, front + plan.gap + 0.2), 0.8 * plan.half, (plan.floor - 0.3, tall))
+    return [frame.mesh(), between.mesh()]
 
 
 def _load(rng: np.random.Generator, plan: _Plan) -> trimesh.Trimesh:
@@ -135,23 +146,12 @@ def _load(rng: np.random.Generator, plan: _Plan) -> trimesh.Trimesh:
 
 
 def _open_bed(rng: np.random.Generator, plan: _Plan, x: Range, half: float) -> trimesh.Trimesh:
-    """A bed with low sides and a headboard, or the body of a tipper."""
-    floor, wall = plan.floor, rng.uniform(0.05, 0.09)
+    """A bed with low sides, or the body of a tipper, filled to within a hand's breadth of its sides or heaped."""
     tipper = plan.kind == "tipper"
-    side = rng.uniform(0.7, 1.5) if tipper else rng.uniform(0.14, 0.5)
-    lean = (rng.uniform(0.02, 0.2), 0.02) if tipper else (0.01, 0.01)
-    outside = straight_body(x, half, (floor, floor + side), lean=lean, crown=0.004, round_top=0.015)
-    # It may carry something: the inside is not always empty.
-    deep = max(side - 0.12, 0.04) * rng.uniform(0.3, 1.0)
-    inside = straight_body(
-        (x[0] + wall + lean[0], x[1] - wall - lean[1]), half - wall, (floor + side - deep, floor + side + 1.0)
-    )
-    board = straight_body(
-        (x[1] - 1.3 * wall, x[1] + 0.01),
-        0.98 * half,
-        (floor + 0.02, max(floor + side + 0.05, rng.uniform(1.7, plan.cab_high))),
-    )
-    return unite([subtract(outside.mesh(), inside.mesh()), board.mesh()])
+    side = rng.uniform(0.6, 1.5) if tipper else rng.uniform(0.12, 0.5)
+    lean = (rng.uniform(0.02, 0.25), 0.02) if tipper else (0.01, 0.01)
+    heap = rng.uniform(0.1, 0.3) if tipper and rng.random() < 0.4 else 0.01
+    return straight_body(x, half, (plan.floor, plan.floor + side), lean=lean, crown=heap, round_top=0.02).mesh()
 
 
 def _with_ladder(rng: np.random.Generator, plan: _Plan, body: trimesh.Trimesh) -> trimesh.Trimesh:
@@ -159,13 +159,6 @@ def _with_ladder(rng: np.random.Generator, plan: _Plan, body: trimesh.Trimesh) -
     half, high = rng.uniform(0.25, 0.75) * plan.half, plan.high + rng.uniform(0.1, 0.6)
     x = (plan.tail + rng.uniform(0.02, 0.8), plan.front - rng.uniform(0.0, 0.3))
     return unite([body, straight_body(x, half, (plan.high - 0.3, high), lean=(0.2, 0.3)).mesh()])
-
-
-def _side_boxes(rng: np.random.Generator, plan: _Plan) -> trimesh.Trimesh:
-    """Tanks, lockers or guards between the axles."""
-    back = plan.tail + 0.34 * (plan.nose - plan.tail) + 1.0
-    x = (min(back, plan.front - 0.8), plan.front - rng.uniform(0.0, 0.3))
-    return straight_body(x, plan.half * rng.uniform(0.85, 0.97), (rng.uniform(0.35, 0.6), plan.floor + 0.03)).mesh()
 
 
 def _axles(rng: np.random.Generator, plan: _Plan) -> list[float]:
