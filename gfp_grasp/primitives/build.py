@@ -25,6 +25,8 @@ from gfp_grasp.primitives.surface import untangle
 from gfp_grasp.types import BODY_REGIONS, GenericPrimitive, Variant
 
 _UP = np.array([0.0, 0.0, 1.0])
+# Where more than this share of the members have equal faces, the others are a variant with its own primitive.
+_MOST = 0.6
 
 
 @dataclass(frozen=True)
@@ -104,8 +106,9 @@ def build_primitive(
     solids = _repair(meshes, dropped)
     _enough(len(solids), dropped, config)
     members = bring_into_one_pose(solids, config.orientation, rng)
-    if _share_faces(members):
-        vertices, faces = np.stack([np.asarray(member.vertices) for member in members]), np.asarray(members[0].faces)
+    alike = _of_one_mesh(members, dropped)
+    if alike:
+        vertices, faces = np.stack([np.asarray(member.vertices) for member in alike]), np.asarray(alike[0].faces)
     else:
         vertices, faces = _bent_template(members, dropped, config, rng, seed, progress)
     placed = _into_frame(vertices, faces, config)
@@ -128,10 +131,19 @@ def _repair(meshes: Sequence[trimesh.Trimesh], dropped: Counter[str]) -> list[tr
     return solids
 
 
-def _share_faces(members: Sequence[trimesh.Trimesh]) -> bool:
-    """Whether the members are one mesh in several shapes, whose vertices correspond already."""
-    first = members[0].faces
-    return all(len(m.vertices) == len(members[0].vertices) and np.array_equal(m.faces, first) for m in members)
+def _of_one_mesh(members: Sequence[trimesh.Trimesh], dropped: Counter[str]) -> list[trimesh.Trimesh]:
+    """The members that are one mesh in several shapes, whose vertices correspond, where most are that; else none."""
+    for first in members[: len(members) // 2 + 1]:
+        alike = [member for member in members if _same_faces(member, first)]
+        if len(alike) > _MOST * len(members):
+            if len(alike) < len(members):
+                dropped["is another mesh than most"] += len(members) - len(alike)
+            return alike
+    return []
+
+
+def _same_faces(a: trimesh.Trimesh, b: trimesh.Trimesh) -> bool:
+    return len(a.vertices) == len(b.vertices) and np.array_equal(a.faces, b.faces)
 
 
 def _bent_template(

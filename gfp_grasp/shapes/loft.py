@@ -128,7 +128,11 @@ def loft(
         flutes: Number of waves around and their relative depth.
         longest_m: Two rings are at most about so far from each other.
     """
-    rings = _thin(np.asarray(rings, dtype=np.float64), longest_m)
+    return around(_thin(np.asarray(rings, dtype=np.float64), longest_m), segments=segments, flutes=flutes)
+
+
+def around(rings: np.ndarray, *, segments: int = 48, flutes: tuple[int, float] = (0, 0.0)) -> trimesh.Trimesh:
+    """`loft` through all of the rings: as many as are given, so that equal counts give equal faces."""
     inner = rings[1:-1]
     angles = _angles(inner, segments)
     cos, sin = np.cos(angles)[None], np.sin(angles)[None]

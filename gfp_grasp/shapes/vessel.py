@@ -1,13 +1,16 @@
-"""Open bodies with a wall, a floor and a rim: what cups and mugs are made of."""
+"""Open bodies with a wall, a floor and a rim: what cups, glasses, bowls and vases are made of."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import trimesh
 
 from gfp_grasp.shapes.loft import inset, loft, rows
+from gfp_grasp.shapes.matched import matched
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,13 +43,27 @@ class Vessel:
 
     def mesh(self) -> trimesh.Trimesh:
         """The open body, closed surface around its wall."""
+        return loft(np.concatenate(self._pieces()), flutes=self.flutes, segments=self.segments)
+
+    def matched_mesh(self, counts: Sequence[int], *, breaks_m: Sequence[float] = ()) -> trimesh.Trimesh:
+        """`mesh` with as many rings as are asked for: vessels of equal counts correspond vertex by vertex.
+
+        Args:
+            counts: Rings of the underside, of each stretch of the outer side, of the rim, the inner side and the floor.
+            breaks_m: Rising heights where one stretch of the outer side ends and the next begins.
+        """
+        under, outside, rim, inside, axis = self._pieces()
+        at = [0, *np.searchsorted(self.height, breaks_m), len(outside) - 1]
+        stretches = [outside[low : high + 1] for low, high in pairwise(at)]
+        floor = np.concatenate([inside[-1:], axis])
+        under, rim = np.concatenate([under, outside[:1]]), np.concatenate([outside[-1:], rim, inside[:1]])
+        return matched([under, *stretches, rim, inside, floor], counts, segments=self.segments, flutes=self.flutes)
+
+    def _pieces(self) -> tuple[np.ndarray, ...]:
+        """Rings of the underside, the outer side, the rim, the inner side going down, and the axis."""
         outside, inside = self.outside(), self._inside(self.wall)[::-1]
         axis = rows([1e-6], inside[-1:, 2])
-        return loft(
-            np.concatenate([self._underside(outside[0]), outside, self._rim(outside[-1], inside[0]), inside, axis]),
-            flutes=self.flutes,
-            segments=self.segments,
-        )
+        return self._underside(outside[0]), outside, self._rim(outside[-1], inside[0]), inside, axis
 
     def core(self, share: float) -> trimesh.Trimesh:
         """Closed solid whose side runs within the wall, `share` of it deep; a little higher than the rim."""
