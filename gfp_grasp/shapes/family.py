@@ -39,6 +39,7 @@ class Family:
         spec: Fields of the class's CategorySpec that its members cannot tell.
         variants: Kinds that have a primitive of their own, because the mean of all members cannot bend into them, each
             with the fields of its CategorySpec.
+        also: Kinds that are members of other classes as well, with those classes.
         members: Number of shapes that the primitive is built from.
     """
 
@@ -47,6 +48,7 @@ class Family:
     group: Literal["household", "traffic"]
     spec: Mapping[str, object] = field(default_factory=dict)
     variants: Mapping[str, Mapping[str, object]] = field(default_factory=dict)
+    also: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     members: int = 80
 
     @property

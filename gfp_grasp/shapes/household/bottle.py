@@ -227,5 +227,6 @@ BOTTLE = Family(
     "household",
     spec={"names": {"modelnet": ("bottle",), "shapenet": ("02876657",)}},
     variants={"jug": {}, "spray": {}},
+    also={"jar": ("jar",), "spray": ("spray_bottle",)},
     members=120,
 )

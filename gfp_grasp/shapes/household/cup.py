@@ -141,7 +141,8 @@ CUP = Family(
     "cup",
     _make,
     "household",
-    spec={"alike": ("mug",), "names": {"modelnet": ("cup",), "shapenet": ("03147509",)}},
+    spec={"alike": ("mug", "glass"), "names": {"modelnet": ("cup",), "shapenet": ("03147509",)}},
     variants={"lidded": {"hollow": False}, "stemmed": {}},
+    also={"stemmed": ("wine_glass",)},
     members=120,
 )

@@ -58,6 +58,6 @@ MUG = Family(
     "mug",
     _make,
     "household",
-    spec={"alike": ("cup",), "names": {"shapenet": ("03797390",)}},
+    spec={"alike": ("cup", "glass"), "names": {"shapenet": ("03797390",)}},
     members=120,
 )
