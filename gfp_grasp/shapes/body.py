@@ -9,6 +9,7 @@ import numpy as np
 import trimesh
 from numpy.typing import ArrayLike
 
+from gfp_grasp.meshes import crossing_faces
 from gfp_grasp.shapes.loft import rounded, skin, subtract, thinned, unite
 from gfp_grasp.shapes.wheel import Wheel
 
@@ -17,6 +18,10 @@ Range = tuple[float, float]
 _TOLERANCE_M = 0.004
 _DECIMALS = 3  # sections stand on whole millimetres: none is too close to another
 _SMOOTH_M = 0.06  # the creases of the front silhouette are blurred over twice this height
+# The slender triangles along edges go, and what is left is split evenly, as a template cut from the member needs it.
+# The first of these that leaves no faces that cross is taken.
+_EVEN_M = (0.003, 0.001, 1e-5)
+_LONGEST_EDGE = 0.038  # share of a vehicle's length
 _ARC = np.linspace(0, np.pi / 2, 5)
 _FLANK = np.linspace(0, 1, 7)[1:]
 _GLASS = np.linspace(0, 1, 6)[1:-1]
@@ -128,20 +133,34 @@ def straight_body(
 
 
 def on_wheels(
-    bodies: Sequence[trimesh.Trimesh], wheels: Sequence[Wheel], *, gap: float, depth: float, segments: int = 32
+    bodies: Sequence[trimesh.Trimesh],
+    wheels: Sequence[Wheel],
+    *,
+    gap: float,
+    depth: float,
+    free: Sequence[Wheel] = (),
+    segments: int = 32,
 ) -> trimesh.Trimesh:
-    """One closed solid of bodies that reach into each other and of wheels that stand in arches, or free of them.
+    """One closed solid of bodies that reach into each other and of wheels that stand in arches or free of them.
 
     Args:
         bodies: Closed.
-        wheels: The inner face of each lies within a body.
+        wheels: Those in arches; the inner face of each lies within a body.
         gap: Between the tyres and the arches, m.
         depth: How deep the arches are, m, less than the wheels are wide.
+        free: Wheels without arches, as beside a frame; the inner face of each lies within a body.
         segments: Of a wheel.
     """
     shell = unite(bodies) if len(bodies) > 1 else bodies[0]
     shell = subtract(shell, unite([wheel.arch(gap=gap, depth=depth) for wheel in wheels]))
-    return unite([shell, *(wheel.mesh(segments=segments) for wheel in wheels)])
+    longest = _LONGEST_EDGE * float(np.ptp(shell.vertices[:, 0]))
+    parts = [shell, *(wheel.mesh(segments=segments) for wheel in (*wheels, *free))]
+    mesh = parts[0]
+    for tolerance in _EVEN_M:
+        mesh = unite(parts, tolerance_m=tolerance, longest_m=longest)
+        if not len(crossing_faces(mesh.vertices, mesh.faces)):
+            break
+    return mesh
 
 
 def both_sides(x: float, y: float, radius: float, width: float, **features: float) -> list[Wheel]:

@@ -224,10 +224,18 @@ _JITTER_M = 1e-6
 _SLIVER_M = 1e-5
 
 
-def unite(meshes: Sequence[trimesh.Trimesh], *, longest_m: float | None = None) -> trimesh.Trimesh:
-    """Union of closed meshes, jittered by at most a micrometre; edges longer than `longest_m` are split evenly."""
+def unite(
+    meshes: Sequence[trimesh.Trimesh], *, tolerance_m: float = _SLIVER_M, longest_m: float | None = None
+) -> trimesh.Trimesh:
+    """Union of closed meshes, jittered by at most a micrometre.
+
+    Args:
+        meshes: Closed.
+        tolerance_m: Vertices without which the surface moves by less are left out.
+        longest_m: Edges that are longer then are split evenly; None leaves them.
+    """
     whole = manifold3d.Manifold.batch_boolean([_solid(mesh) for mesh in meshes], manifold3d.OpType.Add)
-    whole = whole.simplify(_SLIVER_M)
+    whole = whole.simplify(tolerance_m)
     mesh = _mesh(whole if longest_m is None else whole.refine_to_length(longest_m))
     room = np.minimum(_JITTER_M, 0.05 * _smallest_altitudes(mesh.vertices, mesh.faces))
     turn = np.random.default_rng(len(mesh.vertices)).uniform(-1, 1, mesh.vertices.shape)

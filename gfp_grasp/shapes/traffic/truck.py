@@ -7,17 +7,20 @@ from dataclasses import dataclass, replace
 import numpy as np
 import trimesh
 
-from gfp_grasp.shapes.body import Body, Range, both_sides, on_wheels, straight_body
+from gfp_grasp.shapes.body import Body, both_sides, on_wheels, straight_body
 from gfp_grasp.shapes.family import Family, Made
-from gfp_grasp.shapes.loft import rounded, unite
+from gfp_grasp.shapes.loft import rounded
 
-_KINDS = {"box": 0.4, "flatbed": 0.12, "tipper": 0.14, "tank": 0.08, "fire": 0.13, "semi": 0.13}
+_KINDS = {"box": 0.44, "flatbed": 0.1, "tipper": 0.14, "tank": 0.08, "fire": 0.14, "semi": 0.1}
 _LENGTHS_M = {"semi": (11.0, 17.0), "tank": (6.5, 10.5), "fire": (6.0, 12.5)}
 
 
 @dataclass(frozen=True)
 class _Plan:
-    """Sizes of one lorry, m; the load reaches from `tail` to `front`, the cab from there to `nose`."""
+    """Sizes of one lorry, m; the load reaches from `tail` to `front`, the cab from there to `nose`.
+
+    `half` and `frame` are half-widths of the cab and of the frame, `low` the height of the frame's lower edge.
+    """
 
     kind: str
     tail: float
@@ -25,6 +28,8 @@ class _Plan:
     gap: float
     nose: float
     half: float
+    frame: float
+    low: float
     tyre: float
     floor: float
     cab_high: float
@@ -36,19 +41,17 @@ def _make(rng: np.random.Generator) -> Made:
     """One lorry: cab, frame, load and wheels."""
     kind = str(rng.choice(list(_KINDS), p=list(_KINDS.values())))
     plan = _plan(rng, kind)
-    frame = plan.half * rng.uniform(0.7, 0.95)
     front, *others = _axles(rng, plan)
-    bodies = [_cab(rng, plan).mesh(), *_frame(rng, plan, frame, others), _load(rng, plan)]
-    dish, shoulder, rim = rng.uniform(0.03, 0.12), rng.uniform(0.02, 0.05), rng.uniform(0.54, 0.62)
+    bodies = [_cab(rng, plan).mesh(), _between(rng, plan), *_load(rng, plan, others)]
+    shoulder, rim = rng.uniform(0.02, 0.05), rng.uniform(0.54, 0.62)
     features = {"rim": rim, "shoulder": shoulder, "hub": rng.uniform(0.15, 0.3)}
     outer = plan.half * rng.uniform(0.95, 1.0)
-    gap, depth = rng.uniform(0.05, 0.1), rng.uniform(0.12, 0.3)
-    broad = max(outer - frame, depth) + 0.15
-    wheels = both_sides(front, outer, plan.tyre, 0.5, dish=0.3 * dish, **features)
-    for x in others:
-        wheels += both_sides(x, outer, plan.tyre, broad, dish=dish, **features)
-    segments = 24 if len(wheels) <= 6 else 16
-    return Made(on_wheels(bodies, wheels, gap=gap, depth=depth, segments=segments), kind)
+    gap, depth, dish = rng.uniform(0.04, 0.1), rng.uniform(0.08, 0.16), rng.uniform(0.02, 0.08)
+    steered = both_sides(front, outer, plan.tyre, rng.uniform(0.28, 0.36), dish=0.3 * dish, **features)
+    broad = outer - plan.frame + 0.15
+    driven = [wheel for x in others for wheel in both_sides(x, outer, plan.tyre, broad, dish=dish, **features)]
+    segments = 24 if len(driven) <= 4 else 16
+    return Made(on_wheels(bodies, steered, gap=gap, depth=depth, free=driven, segments=segments), kind)
 
 
 def _plan(rng: np.random.Generator, kind: str) -> _Plan:
@@ -65,10 +68,11 @@ def _plan(rng: np.random.Generator, kind: str) -> _Plan:
         "semi": rng.uniform(3.5, 4.0),
         "tank": rng.uniform(0.9, 1.15) * cab_high,
     }.get(kind, cab_high)
-    nose = length / 2
+    nose, half = length / 2, 0.97 + 0.25 * size + rng.uniform(-0.03, 0.03)
+    frame, low = half * rng.uniform(0.7, 0.9), rng.uniform(0.8, 1.4) * tyre
+    floor, gap = 2 * tyre + rng.uniform(0.11, 0.3), rng.uniform(0.06, 0.3)
     return _Plan(
-        kind, -nose, nose - cab, rng.uniform(0.04, 0.3), nose, 0.97 + 0.25 * size + rng.uniform(-0.03, 0.03), tyre,
-        2 * tyre + rng.uniform(0.11, 0.3), cab_high, min(high, 4.0), bonnet,
+        kind, -nose, nose - cab, gap, nose, half, frame, low, tyre, floor, cab_high, min(high, 4.0), bonnet
     )  # fmt: skip
 
 
@@ -101,64 +105,54 @@ def _cab(rng: np.random.Generator, plan: _Plan) -> Body:
     )
 
 
-def _frame(rng: np.random.Generator, plan: _Plan, half: float, axles: list[float]) -> list[trimesh.Trimesh]:
-    """What bears cab and load, with the lockers and tanks beside it; and what stands between cab and load."""
-    low, high, nose = rng.uniform(0.4, 0.75) * 2 * plan.tyre, plan.floor + 0.06, plan.nose - 0.5 - plan.bonnet
-    back, front = plan.tail + 0.04, plan.front
-    frame = straight_body((back, nose), half, (low, high))
-    if plan.kind == "semi":
-        # Nothing is below the trailer between its axles and the tractor.
-        back_end, front_end = max(axles[1:]) + plan.tyre + 0.2, axles[0] - plan.tyre - 0.2
-        under = [back_end, back_end + 0.2, front_end - 0.2, front_end]
-        steps = np.column_stack([under, [low, plan.floor - 0.05, plan.floor - 0.05, low]])
-        frame = replace(frame, lower=np.concatenate([frame.lower[:1], steps, frame.lower[1:]]))
-    tall = plan.floor + rng.uniform(0.6, 0.9) * (min(plan.cab_high, max(plan.high, plan.floor + 0.5)) - plan.floor)
-    between = straight_body((front - 0.2, front + plan.gap + 0.2), 0.8 * plan.half, (plan.floor - 0.3, tall))
-    return [frame.mesh(), between.mesh()]
+def _between(rng: np.random.Generator, plan: _Plan) -> trimesh.Trimesh:
+    """What stands between cab and load."""
+    load = max(min(plan.cab_high, plan.high), plan.floor + 0.5)
+    top = plan.floor + rng.uniform(0.6, 0.9) * (load - plan.floor)
+    return straight_body((plan.front - 0.3, plan.front + plan.gap + 0.3), 0.86 * plan.half, (plan.low, top)).mesh()
 
 
-def _load(rng: np.random.Generator, plan: _Plan) -> trimesh.Trimesh:
-    """What stands behind the cab."""
-    x, kind = (plan.tail, plan.front), plan.kind
-    half = plan.half * rng.uniform(0.98, 1.05)
-    if kind in ("flatbed", "tipper"):
-        return _open_bed(rng, plan, x, half)
+def _load(rng: np.random.Generator, plan: _Plan, axles: list[float]) -> list[trimesh.Trimesh]:
+    """What stands behind the cab, on the frame that bears it and the lockers and tanks beside the frame."""
+    half, kind = plan.half * rng.uniform(0.98, 1.05), plan.kind
     if kind == "semi":
         kind = str(rng.choice(["box", "tank"], p=[0.8, 0.2]))
+    side, lean, crown, top = plan.high - plan.floor, (0.02, 0.02), rng.uniform(0.002, 0.04), rng.uniform(0.02, 0.1)
+    if kind == "flatbed":
+        side, crown = rng.uniform(0.12, 0.5), 0.004
+    elif kind == "tipper":
+        side, lean = rng.uniform(0.6, 1.5), (rng.uniform(0.02, 0.25), 0.02)
+        crown = rng.uniform(0.1, 0.3) if rng.random() < 0.4 else 0.01  # heaped or not; what is inside counts as full
+    high = plan.floor + side
+    share = plan.frame / half
+    body = straight_body((plan.tail, plan.front), half, (plan.low, high), lean=lean, round_top=top, crown=crown)
     if kind == "tank":
-        tall = plan.high - plan.floor
-        lean = (rng.uniform(0.05, 0.3), rng.uniform(0.05, 0.3))
-        return straight_body(
-            x,
-            0.93 * half,
-            (plan.floor, plan.high),
-            lean=lean,
-            round_top=0.42 * tall,
-            round_bottom=0.3 * tall,
-            crown=0.1,
-        ).mesh()
-    low = plan.floor - (rng.uniform(0.0, 0.35) if kind == "fire" else 0.0)
-    body = straight_body(
-        x, half, (low, plan.high), roof=rng.uniform(0.96, 1.0), round_top=rng.uniform(0.01, 0.1),
-        crown=rng.uniform(0.002, 0.04),
-    ).mesh()  # fmt: skip
-    return _with_ladder(rng, plan, body) if kind == "fire" else body
+        frame = straight_body((plan.tail, plan.front), plan.frame, (plan.low, plan.floor + 0.1))
+        ends = (rng.uniform(0.05, 0.3), rng.uniform(0.05, 0.3))
+        tank = straight_body((plan.tail, plan.front), 0.93 * half, (plan.floor, high), lean=ends, crown=0.1)
+        tank = replace(tank, round_top=0.42 * side, round_bottom=0.3 * side)
+        return [tank.mesh(), _above_the_road(plan, frame, axles).mesh()]
+    # The frame widens towards the floor of the load.
+    flat = [[plan.low, share], [plan.floor - 0.15, share], [plan.floor + 0.08, 1.0], [high, rng.uniform(0.96, 1.0)]]
+    body = _above_the_road(plan, replace(body, front=np.array(flat), belt=plan.floor + 0.08), axles)
+    return [body.mesh(), *([_ladder(rng, plan).mesh()] if kind == "fire" else [])]
 
 
-def _open_bed(rng: np.random.Generator, plan: _Plan, x: Range, half: float) -> trimesh.Trimesh:
-    """A bed with low sides, or the body of a tipper, filled to within a hand's breadth of its sides or heaped."""
-    tipper = plan.kind == "tipper"
-    side = rng.uniform(0.6, 1.5) if tipper else rng.uniform(0.12, 0.5)
-    lean = (rng.uniform(0.02, 0.25), 0.02) if tipper else (0.01, 0.01)
-    heap = rng.uniform(0.1, 0.3) if tipper and rng.random() < 0.4 else 0.01
-    return straight_body(x, half, (plan.floor, plan.floor + side), lean=lean, crown=heap, round_top=0.02).mesh()
+def _above_the_road(plan: _Plan, body: Body, axles: list[float]) -> Body:
+    """The body; a trailer has nothing below its floor between its axles and the tractor."""
+    if plan.kind != "semi":
+        return body
+    back, front = max(axles[1:]) + plan.tyre + 0.2, axles[0] - plan.tyre - 0.2
+    high = plan.floor - 0.15
+    steps = np.column_stack([[back, back + 0.3, front - 0.3, front], [plan.low, high, high, plan.low]])
+    return replace(body, lower=np.concatenate([body.lower[:1], steps, body.lower[1:]]))
 
 
-def _with_ladder(rng: np.random.Generator, plan: _Plan, body: trimesh.Trimesh) -> trimesh.Trimesh:
+def _ladder(rng: np.random.Generator, plan: _Plan) -> Body:
     """A ladder that lies along the roof, drawn as its bulk, or lockers there."""
     half, high = rng.uniform(0.25, 0.75) * plan.half, plan.high + rng.uniform(0.1, 0.6)
     x = (plan.tail + rng.uniform(0.02, 0.8), plan.front - rng.uniform(0.0, 0.3))
-    return unite([body, straight_body(x, half, (plan.high - 0.3, high), lean=(0.2, 0.3)).mesh()])
+    return straight_body(x, half, (plan.high - 0.3, high), lean=(0.2, 0.3))
 
 
 def _axles(rng: np.random.Generator, plan: _Plan) -> list[float]:
