@@ -56,8 +56,8 @@ def test_a_family_is_built_from_the_train_split_and_measured_on_the_other(built)
     assert primitive.card == {
         "command": "gfp-grasp gps build cup --limit 6 --seed 4",
         "seed": 4,
-        "data": "procedural cups, the first 6 seeds of the train split",
-        "held_out_data": "procedural cups, the first 3 seeds of the val split",
+        "data": "procedural shapes of cup, the first 6 seeds of the train split",
+        "held_out_data": "procedural shapes of cup, the first 3 seeds of the val split",
         "members_used": 6,
         "held_out": 3,
         "build_s": 0,
@@ -79,7 +79,7 @@ def test_a_variant_is_built_from_those_among_a_thousand(built, monkeypatch) -> N
     assert len(train) > 300
     assert built.builds[0].config is config
     assert built.measured[0][1] == [f"cup-{seed}" for seed in val]
-    assert primitive.card["data"] == f"procedural footed cups, the first {len(train)} seeds of the train split"
+    assert primitive.card["data"] == f"procedural shapes of cup.footed, the first {len(train)} seeds of the train split"
     assert procedural_members("cup.footed", 5) == [f"cup-{seed}" for seed in train[:5]]
     build_from_shapes("cup.tapered", members=7)
     assert len(built.builds[1].meshes) == 7

@@ -75,7 +75,7 @@ def build_from_shapes(
     figures = measure_primitive(
         primitive, [make_shape(family, number).mesh for number in val[:held_out]], progress=progress
     )
-    shapes = f"procedural {variant} {family}s".replace("  ", " ")
+    shapes = f"procedural shapes of {name}"
     card = {
         "command": f"gfp-grasp gps build {name} --limit {members} --seed {seed}",
         "seed": seed,
