@@ -31,13 +31,10 @@ def test_members_are_one_closed_body_without_holes(family: str, shapes: dict[str
 
 @pytest.mark.parametrize("family", FAMILIES)
 def test_members_of_one_make_are_one_mesh_in_several_shapes(family: str, shapes: dict[str, list[Shape]]) -> None:
-    by_make: dict[bool, list[Shape]] = {True: [], False: []}
-    for shape in shapes[family]:
-        by_make[shape.kind in ("open", "laboratory")].append(shape)
-    assert len(by_make[False]) >= 6
-    for made in by_make.values():
-        for shape in made[1:]:
-            np.testing.assert_array_equal(shape.mesh.faces, made[0].mesh.faces)
+    made = [shape for shape in shapes[family] if shape.kind not in ("open", "laboratory", "hip", "sardine")]
+    assert len(made) >= 6
+    for shape in made[1:]:
+        np.testing.assert_array_equal(shape.mesh.faces, made[0].mesh.faces)
 
 
 def test_open_vessels_are_empty_above_their_floor_and_closed_things_are_full(shapes: dict[str, list[Shape]]) -> None:
@@ -120,14 +117,14 @@ def test_a_tube_stands_on_its_cap_and_its_crimp_is_above_wide_and_flat(shapes: d
 
 
 def test_a_hip_flask_is_flat_along_y_and_its_cap_is_round() -> None:
-    flask = next(made for made in (make_shape("flask", seed) for seed in range(40)) if made.kind == "hip")
+    flask = next(made for made in (make_shape("flask", seed) for seed in range(80)) if made.kind == "hip")
     assert flask.mesh.extents[1] < 0.5 * flask.mesh.extents[0]
     cap = flask.mesh.vertices[flask.mesh.vertices[:, 2] > flask.mesh.bounds[1, 2] - 0.008]
     assert np.ptp(cap[:, 0]) == pytest.approx(np.ptp(cap[:, 1]), rel=0.01)
 
 
 def test_a_laboratory_flask_is_widest_below_and_open_through_a_narrow_neck() -> None:
-    flask = next(made for made in (make_shape("flask", seed) for seed in range(40)) if made.kind == "laboratory")
+    flask = next(made for made in (make_shape("flask", seed) for seed in range(80)) if made.kind == "laboratory")
     tall = flask.mesh.bounds[1, 2]
     assert _half_width(flask.mesh, 0.9 * tall) < 0.7 * _half_width(flask.mesh, 0.25 * tall)
     assert not flask.mesh.contains([[1e-5, 2e-5, 0.5 * tall], [1e-5, 2e-5, 0.97 * tall]]).any()

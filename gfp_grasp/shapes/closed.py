@@ -12,7 +12,6 @@ from gfp_grasp.shapes.matched import cut, matched
 
 # Rings of the underside, the body, the shoulder, the groove, the lid's side, its top, the knob's side and its top.
 _COUNTS = (8, 24, 10, 4, 12, 8, 8, 5)
-_SEGMENTS = 56
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,6 +35,7 @@ class Closed:
         power: Superellipse power of the body's section.
         lid_power: The same of the lid's.
         dent: Depth of the underside.
+        segments: Vertices of a ring.
     """
 
     side: np.ndarray
@@ -54,10 +54,11 @@ class Closed:
     power: float = 2.0
     lid_power: float = 2.0
     dent: float = 0.0
+    segments: int = 56
 
     def mesh(self) -> trimesh.Trimesh:
-        """The container as one solid; all of them correspond vertex by vertex."""
-        return matched([*self._body(), *self._top()], _COUNTS, segments=_SEGMENTS)
+        """The container as one solid; those of equal segments correspond vertex by vertex."""
+        return matched([*self._body(), *self._top()], _COUNTS, segments=self.segments)
 
     def _body(self) -> list[np.ndarray]:
         """Rings of the underside, the side and the shoulder."""

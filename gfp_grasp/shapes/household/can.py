@@ -12,6 +12,8 @@ from gfp_grasp.shapes.matched import cut, matched
 # or cap, its side, its edge, the wall of the upper recess, and the recess.
 _COUNTS = (9, 4, 3, 8, 22, 9, 2, 8, 3, 4, 9)
 _SEGMENTS = 56
+# Oblong tins have another mesh than the round ones, and a primitive of their own.
+_SEGMENTS_OF_OBLONG = 64
 _KINDS = {"food": 0.34, "drink": 0.3, "tuna": 0.14, "sardine": 0.05, "paint": 0.07, "spray": 0.1}
 # Half-width and height, m.
 _SIZES = {
@@ -38,7 +40,12 @@ def _make(rng: np.random.Generator) -> Made:
     if kind == "tuna" and rng.random() < 0.15:
         aspect = rng.uniform(0.6, 0.85)
     return Made(
-        matched([rows(p[:, 0], p[:, 1], aspect=aspect, power=power) for p in pieces], _COUNTS, segments=_SEGMENTS), kind
+        matched(
+            [rows(p[:, 0], p[:, 1], aspect=aspect, power=power) for p in pieces],
+            _COUNTS,
+            segments=_SEGMENTS_OF_OBLONG if sardine else _SEGMENTS,
+        ),
+        kind,
     )
 
 
@@ -97,4 +104,10 @@ def _ribs(rng: np.random.Generator, kind: str, t: np.ndarray) -> np.ndarray:
     return rng.uniform(0.0004, 0.0012) * window * (1 - np.cos(2 * np.pi * t * rng.integers(6, 14))) / 2
 
 
-CAN = Family("can", _make, "household", spec={"alike": ("jar", "cup", "box"), "names": {"shapenet": ("02946921",)}})
+CAN = Family(
+    "can",
+    _make,
+    "household",
+    spec={"alike": ("jar", "cup", "box"), "names": {"shapenet": ("02946921",)}},
+    variants={"sardine": {}},
+)

@@ -1,4 +1,4 @@
-"""Flasks: thermos flasks with a cup cap, drinking flasks, hip flasks; open laboratory flasks are a variant."""
+"""Flasks: thermos flasks with a cup cap, drinking flasks; hip flasks and laboratory flasks are variants."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ from gfp_grasp.shapes.loft import smooth_noise, smoothstep
 from gfp_grasp.shapes.vessel import Vessel
 
 _GRID = 160
-_KINDS = {"thermos": 0.36, "drinking": 0.3, "hip": 0.16, "laboratory": 0.18}
+_KINDS = {"thermos": 0.44, "drinking": 0.34, "hip": 0.12, "laboratory": 0.1}
+# Hip flasks have another mesh than the round ones: a mean of both would be neither.
+_SEGMENTS_OF_FLAT = 64
 
 
 def _make(rng: np.random.Generator) -> Made:
@@ -108,6 +110,7 @@ def _hip(rng: np.random.Generator) -> trimesh.Trimesh:
         knob=(upper * rng.uniform(0.25, 0.5), 0.0003),
         aspect=aspect,
         power=rng.uniform(2.0, 5.0),
+        segments=_SEGMENTS_OF_FLAT,
     ).mesh()
 
 
@@ -141,5 +144,5 @@ FLASK = Family(
     _make,
     "household",
     spec={"alike": ("bottle",), "rests": {"upright": 0.9, "lying": 0.09, "upside_down": 0.01}},
-    variants={"laboratory": {"hollow": True}},
+    variants={"hip": {}, "laboratory": {"hollow": True}},
 )

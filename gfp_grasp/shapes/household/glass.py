@@ -82,4 +82,4 @@ def _floor(rng: np.random.Generator, kind: str, tall: float, wall: float, dent: 
     return dent + float(np.clip(thick, 1.2 * wall, 0.3 * tall))
 
 
-GLASS = Family("glass", _make, "household", spec={"alike": ("cup", "mug")})
+GLASS = Family("glass", _make, "household", spec={"alike": ("cup", "mug", "wine_glass")})

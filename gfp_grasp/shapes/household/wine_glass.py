@@ -90,4 +90,4 @@ def _bowl(rng: np.random.Generator, t: np.ndarray, kind: str, style: _Style, ste
     return curve / curve.max()
 
 
-WINE_GLASS = Family("wine_glass", _make, "household")
+WINE_GLASS = Family("wine_glass", _make, "household", spec={"alike": ("glass",)})
