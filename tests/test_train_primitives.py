@@ -100,7 +100,7 @@ def test_all_shapes_of_the_splits_may_be_used(built, monkeypatch) -> None:
     assert counts == [(400, 60), (120, 40), (1, 1)]
     assert len(procedural_members("cup")) == 120
     with pytest.raises(UnknownCategory):
-        build_from_shapes("teapot.odd")
+        build_from_shapes("boat.odd")
 
 
 def _folder(tmp_path: Path, count: int) -> Path:
