@@ -86,15 +86,15 @@ def loop_handle(
 
 def ears(rng: np.random.Generator, radius: float, height: float) -> list[trimesh.Trimesh]:
     """Two level or rising loops towards +x and -x on a round body of this radius, m, at this height, m."""
-    kind = str(rng.choice(["round", "d", "square"]))
-    half = float(np.clip(radius * rng.uniform(0.28, 0.45), 0.024, 0.055))
-    along, across = rng.uniform(0.003, 0.0065), rng.uniform(0.003, 0.0085)
+    kind = str(rng.choice(["round", "d", "square"], p=[0.4, 0.45, 0.15]))
+    half = float(np.clip(radius * rng.uniform(0.3, 0.42), 0.026, 0.052))
+    along, across = rng.uniform(0.0045, 0.0075), rng.uniform(0.0055, 0.01)
     around = np.linspace(-1.4 * half, 1.4 * half, 80)
     profile = around, np.sqrt(np.maximum(radius**2 - around**2, 1e-6))
-    reach = rng.uniform(0.022, 0.045) + along
+    reach = half * rng.uniform(0.65, 0.95) + along
     loop = loop_handle(rng, kind, profile, np.array([-half, half]), reach=reach, along=along, across=across, root=0.85)
     loop.apply_transform(make_T(rotation_about((1, 0, 0), -np.pi / 2)))
-    rise = rotation_about((0, 1, 0), -rng.choice([0.0, rng.uniform(0.0, 0.6)]))
+    rise = rotation_about((0, 1, 0), -rng.choice([0.0, rng.uniform(0.0, 0.3)]))
     loop.apply_translation([-radius, 0, 0])
     loop.apply_transform(make_T(rise, (radius, 0, height)))
     other = loop.copy().apply_transform(make_T(rotation_about((0, 0, 1), np.pi)))

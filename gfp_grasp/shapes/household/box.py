@@ -76,7 +76,10 @@ BOX = Family(
     "box",
     _make,
     "household",
-    spec={"alike": ("carton",), "rests": {"upright": 0.7, "lying": 0.3}},
-    variants={"open": {"rests": {"upright": 0.95, "lying": 0.04, "upside_down": 0.01}}},
+    # Members stand on any of their sides: "lying" would count them twice.
+    spec={"alike": ("carton",), "rests": {"upright": 1.0}, "density_kg_m3": (50.0, 1050.0)},
+    variants={
+        "open": {"rests": {"upright": 0.95, "lying": 0.04, "upside_down": 0.01}, "density_kg_m3": (100.0, 900.0)},
+    },
     members=120,
 )

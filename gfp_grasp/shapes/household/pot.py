@@ -23,6 +23,9 @@ def _make(rng: np.random.Generator) -> Made:
     kind = str(rng.choice(list(_KINDS), p=list(_KINDS.values())))
     height, radius = _side(rng, kind)
     tall, half = float(height[-1]), float(radius.max())
+    # Roasters and terrines are low and oval.
+    oval = kind != "saucepan" and tall < 1.1 * half and rng.random() < 0.25
+    aspect = float(rng.uniform(0.65, 0.92)) if oval else 1.0
     if kind == "saucepan":
         along = rng.uniform(0.004, 0.009)
         at = tall - along - _BELOW_RIM_M - rng.uniform(0.0, 0.25) * tall
@@ -37,11 +40,11 @@ def _make(rng: np.random.Generator) -> Made:
             )
         ]
     else:
-        at = tall - max(0.012, tall * rng.uniform(0.08, 0.4)) - _BELOW_RIM_M
+        at = tall - max(0.012, tall * rng.uniform(0.1, 0.26)) - _BELOW_RIM_M
         carriers = ears(rng, float(np.interp(at, height, radius)), at)
     if kind == "lidded":
-        return Made(unite([*_closed(rng, height, radius), *carriers]), kind)
-    vessel = _open(rng, height, radius, half)
+        return Made(unite([*_closed(rng, height, radius, aspect), *carriers]), kind)
+    vessel = _open(rng, height, radius, aspect)
     return Made(unite([vessel.mesh(), *(subtract(part, vessel.core(0.5)) for part in carriers)]), kind, vessel.wall)
 
 
@@ -59,20 +62,23 @@ def _side(rng: np.random.Generator, kind: str) -> tuple[np.ndarray, np.ndarray]:
     return height, radius - base_rounding(rng, height, radius, bowl=0.0) * 0.1
 
 
-def _open(rng: np.random.Generator, height: np.ndarray, radius: np.ndarray, half: float) -> Vessel:
+def _open(rng: np.random.Generator, height: np.ndarray, radius: np.ndarray, aspect: float) -> Vessel:
     # Sheet metal, or cast iron and stoneware.
     wall = rng.choice([rng.uniform(0.0011, 0.0025), rng.uniform(0.0025, 0.006)], p=[0.7, 0.3])
     extra = lip(rng, height) if rng.random() < 0.5 else 0.0
-    return Vessel(height, radius, float(wall), float(wall) * rng.uniform(1.0, 2.5), extra, segments=_SEGMENTS)
+    return Vessel(height, radius, float(wall), float(wall) * rng.uniform(1.0, 2.5), extra, aspect, segments=_SEGMENTS)
 
 
-def _closed(rng: np.random.Generator, height: np.ndarray, radius: np.ndarray) -> list[trimesh.Trimesh]:
+def _closed(rng: np.random.Generator, height: np.ndarray, radius: np.ndarray, aspect: float) -> list[trimesh.Trimesh]:
     """The body under its lid, whose knob is turned or a strap."""
-    rim, strap = float(radius[-1]), rng.random() < 0.35
+    rim, strap = float(radius[-1]), rng.random() < 0.2
     knob = 0.0 if strap else float(np.clip(rim * rng.uniform(0.13, 0.24), 0.012, 0.028))
     dome = rim * rng.choice([rng.uniform(0.03, 0.15), rng.uniform(0.15, 0.42)])
-    cover = lid(rng, rim, float(height[-1]), dome=dome, knob=knob, over=rng.uniform(0.0005, 0.005))
-    rings = [rows([1e-6], [0.0]), rows(radius, height), rows(cover[:, 0], cover[:, 1])]
+    cover = lid(rng, rim, float(height[-1]), dome=dome, knob=knob)
+    # The knob stays round, whatever the body is.
+    lid_aspect = np.where(cover[:, 0] > 0.4 * rim, aspect, 1.0)
+    rings = [rows([1e-6], [0.0]), rows(radius, height, aspect=aspect)]
+    rings.append(rows(cover[:, 0], cover[:, 1], aspect=lid_aspect))
     body = loft(np.concatenate(rings), segments=_SEGMENTS)
     if not strap:
         return [body]
