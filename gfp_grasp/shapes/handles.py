@@ -1,4 +1,4 @@
-"""What a hand takes hold of: loop handles, ears, bails and long handles, as tubes whose ends reach into the body."""
+"""What a hand takes hold of: loop handles, bails and long handles, as tubes whose ends reach into the body."""
 
 from __future__ import annotations
 
@@ -6,7 +6,6 @@ import numpy as np
 import trimesh
 
 from gfp_grasp.shapes.loft import rounded, smoothstep, sweep
-from gfp_grasp.transforms import make_T, rotation_about
 
 
 def even_path(plane: np.ndarray, count: int) -> np.ndarray:
@@ -82,23 +81,6 @@ def loop_handle(
     t = np.linspace(-1, 1, len(path))
     flare = 1 + rng.uniform(0.0, 0.6) * smoothstep((np.abs(t) - 0.55) / 0.4)
     return sweep(path, across * flare, along * (1 + 0.4 * (flare - 1)), power=rng.choice([2.0, 2.6, 4.0]), segments=24)
-
-
-def ears(rng: np.random.Generator, radius: float, height: float) -> list[trimesh.Trimesh]:
-    """Two level or rising loops towards +x and -x on a round body of this radius, m, at this height, m."""
-    kind = str(rng.choice(["round", "d", "square"], p=[0.4, 0.45, 0.15]))
-    half = float(np.clip(radius * rng.uniform(0.3, 0.42), 0.026, 0.052))
-    along, across = rng.uniform(0.0045, 0.0075), rng.uniform(0.0055, 0.01)
-    around = np.linspace(-1.4 * half, 1.4 * half, 80)
-    profile = around, np.sqrt(np.maximum(radius**2 - around**2, 1e-6))
-    reach = half * rng.uniform(0.65, 0.95) + along
-    loop = loop_handle(rng, kind, profile, np.array([-half, half]), reach=reach, along=along, across=across, root=0.85)
-    loop.apply_transform(make_T(rotation_about((1, 0, 0), -np.pi / 2)))
-    rise = rotation_about((0, 1, 0), -rng.choice([0.0, rng.uniform(0.0, 0.3)]))
-    loop.apply_translation([-radius, 0, 0])
-    loop.apply_transform(make_T(rise, (radius, 0, height)))
-    other = loop.copy().apply_transform(make_T(rotation_about((0, 0, 1), np.pi)))
-    return [loop, other]
 
 
 def bail(

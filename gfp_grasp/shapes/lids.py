@@ -22,21 +22,18 @@ def lid(
         knob: Radius of the knob, m; 0 for none.
         over: How much wider than the body the lid is, m; negative where it is let into the mouth.
     """
-    edge = rng.uniform(0.0015, 0.006)
-    wide = radius + over
-    turn = np.linspace(0, np.pi / 2, 16)
-    bend = rng.uniform(0.7, 1.3)
-    low = height + (edge if over >= 0 else 0.3 * edge)
-    arc = np.stack([wide * np.cos(turn), low + dome * np.sin(turn) ** bend], axis=1)
-    start = [[radius, height], [wide, height + 0.0004]] if over > 1e-4 else [[radius, height]]
-    if over < -1e-4:
-        start.append([wide, height])
+    cover = _domed(rng, radius, height, dome, over)
     if knob <= 0:
-        return np.concatenate([start, arc[:-1], [[1e-6, arc[-1, 1]]]])
-    foot = knob * rng.uniform(0.35, 0.75)
-    arc = arc[arc[:, 0] > 1.15 * foot]
-    base = float(np.interp(foot, arc[::-1, 0], arc[::-1, 1]))
-    return np.concatenate([start, arc, _knob(rng, foot, knob, max(base, float(arc[-1, 1])))])
+        return np.concatenate([cover[:-1], [[1e-6, cover[-1, 1]]]])
+    return np.concatenate(_with_knob(rng, cover, knob))
+
+
+def knobbed(
+    rng: np.random.Generator, radius: float, height: float, *, dome: float, knob: float, over: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """`lid` in two pieces, of which the second is the knob and begins where the first ends."""
+    cover, top = _with_knob(rng, _domed(rng, radius, height, dome, over), knob)
+    return np.concatenate([cover, top[:1]]), top
 
 
 def sunk_lid(rng: np.random.Generator, radius: float, height: float) -> np.ndarray:
@@ -51,6 +48,28 @@ def sunk_lid(rng: np.random.Generator, radius: float, height: float) -> np.ndarr
         [ring, height + band], [0.97 * ring, low], [middle, low], [0.9 * middle, low + crest], [1e-6, low + crest],
     ]  # fmt: skip
     return rounded(corners, [0, 0, 0.002, 0.002, 0.002, 0.003, 0.003, 0])
+
+
+def _domed(rng: np.random.Generator, radius: float, height: float, dome: float, over: float) -> np.ndarray:
+    """Profile of a lid from the body's rim to the axis."""
+    edge = rng.uniform(0.0015, 0.006)
+    wide = radius + over
+    turn = np.linspace(0, np.pi / 2, 16)
+    bend = rng.uniform(0.7, 1.3)
+    low = height + (edge if over >= 0 else 0.3 * edge)
+    arc = np.stack([wide * np.cos(turn), low + dome * np.sin(turn) ** bend], axis=1)
+    start = [[radius, height], [wide, height + 0.0004]] if over > 1e-4 else [[radius, height]]
+    if over < -1e-4:
+        start.append([wide, height])
+    return np.concatenate([start, arc])
+
+
+def _with_knob(rng: np.random.Generator, cover: np.ndarray, knob: float) -> tuple[np.ndarray, np.ndarray]:
+    """The profile of a lid up to its knob, and that of the knob."""
+    foot = knob * rng.uniform(0.35, 0.75)
+    base = float(np.interp(foot, cover[::-1, 0], cover[::-1, 1]))
+    cover = cover[cover[:, 0] > 1.15 * foot]
+    return cover, _knob(rng, foot, knob, max(base, float(cover[-1, 1])))
 
 
 def _knob(rng: np.random.Generator, foot: float, head: float, height: float) -> np.ndarray:

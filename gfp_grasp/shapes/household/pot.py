@@ -6,14 +6,19 @@ import numpy as np
 import trimesh
 
 from gfp_grasp.shapes.family import Family, Made
-from gfp_grasp.shapes.handles import bail, ears, long_handle
-from gfp_grasp.shapes.household.cup import GRID, base_rounding, lip
-from gfp_grasp.shapes.lids import lid
-from gfp_grasp.shapes.loft import loft, rows, subtract, unite
+from gfp_grasp.shapes.grafts import PATCH_ROWS, SEGMENTS, with_ears
+from gfp_grasp.shapes.handles import long_handle
+from gfp_grasp.shapes.household.cup import GRID, lip
+from gfp_grasp.shapes.lids import knobbed
+from gfp_grasp.shapes.loft import rows, subtract, unite
+from gfp_grasp.shapes.matched import matched
 from gfp_grasp.shapes.vessel import Vessel
 
-_KINDS = {"open": 0.5, "lidded": 0.28, "saucepan": 0.22}
-_SEGMENTS = 64
+_KINDS = {"open": 0.68, "lidded": 0.18, "saucepan": 0.14}
+# Rings of a disc, as the underside and the floor are, and of the underside, of the side below, at and above the ears.
+_DISC = 12
+_SIDE = (_DISC, 18, PATCH_ROWS, 6)
+_FIRST_ROW = _SIDE[0] + _SIDE[1] - 1
 # Between the ears or a handle and the rim.
 _BELOW_RIM_M = 0.004
 
@@ -22,30 +27,23 @@ def _make(rng: np.random.Generator) -> Made:
     """One pot; a lidded one is a solid, its wall is zero."""
     kind = str(rng.choice(list(_KINDS), p=list(_KINDS.values())))
     height, radius = _side(rng, kind)
+    if kind == "saucepan":
+        vessel = _open(rng, height, radius, 1.0)
+        handle = subtract(_handle(rng, height, radius), vessel.core(0.5))
+        return Made(unite([vessel.mesh(), handle]), kind, vessel.wall)
     tall, half = float(height[-1]), float(radius.max())
     # Roasters and terrines are low and oval.
-    oval = kind != "saucepan" and tall < 1.1 * half and rng.random() < 0.25
+    oval = tall < 1.1 * half and rng.random() < 0.25
     aspect = float(rng.uniform(0.65, 0.92)) if oval else 1.0
-    if kind == "saucepan":
-        along = rng.uniform(0.004, 0.009)
-        at = tall - along - _BELOW_RIM_M - rng.uniform(0.0, 0.25) * tall
-        carriers = [
-            long_handle(
-                rng,
-                float(np.interp(at, height, radius)),
-                at,
-                length=rng.uniform(0.13, 0.21),
-                along=along,
-                across=rng.uniform(0.009, 0.016),
-            )
-        ]
-    else:
-        at = tall - max(0.012, tall * rng.uniform(0.1, 0.26)) - _BELOW_RIM_M
-        carriers = ears(rng, float(np.interp(at, height, radius)), at)
+    across = rng.uniform(0.0035, 0.0085)
+    at = tall - across - _BELOW_RIM_M - max(0.006, tall * rng.uniform(0.0, 0.35))
+    breaks = (at - across, at + across)
     if kind == "lidded":
-        return Made(unite([*_closed(rng, height, radius, aspect), *carriers]), kind)
+        return Made(_eared(rng, _closed(rng, height, radius, aspect, breaks), half * aspect, across), kind)
     vessel = _open(rng, height, radius, aspect)
-    return Made(unite([vessel.mesh(), *(subtract(part, vessel.core(0.5)) for part in carriers)]), kind, vessel.wall)
+    body = vessel.matched_mesh((*_SIDE, 5, 16, _DISC), breaks_m=breaks)
+    _space_disc(body, floor=True)
+    return Made(_eared(rng, body, half * aspect, across), kind, vessel.wall)
 
 
 def _side(rng: np.random.Generator, kind: str) -> tuple[np.ndarray, np.ndarray]:
@@ -56,36 +54,64 @@ def _side(rng: np.random.Generator, kind: str) -> tuple[np.ndarray, np.ndarray]:
     t = height / height[-1]
     curve = 1 + rng.choice([0.0, rng.uniform(0.0, 0.18)]) * (t - 1)
     curve = curve + rng.choice([0.0, rng.uniform(0.01, 0.09)], p=[0.65, 0.35]) * np.sin(np.pi * t)
-    radius = half * curve / curve.max()
     edge = min(rng.uniform(0.002, 0.03), 0.35 * float(height[-1]))
-    radius = radius - edge * (1 - np.sqrt(1 - np.clip(1 - height / edge, 0, 1) ** 2))
-    return height, radius - base_rounding(rng, height, radius, bowl=0.0) * 0.1
+    return height, half * curve / curve.max() - edge * (1 - np.sqrt(1 - np.clip(1 - height / edge, 0, 1) ** 2))
 
 
 def _open(rng: np.random.Generator, height: np.ndarray, radius: np.ndarray, aspect: float) -> Vessel:
     # Sheet metal, or cast iron and stoneware.
     wall = rng.choice([rng.uniform(0.0011, 0.0025), rng.uniform(0.0025, 0.006)], p=[0.7, 0.3])
     extra = lip(rng, height) if rng.random() < 0.5 else 0.0
-    return Vessel(height, radius, float(wall), float(wall) * rng.uniform(1.0, 2.5), extra, aspect, segments=_SEGMENTS)
+    return Vessel(height, radius, float(wall), float(wall) * rng.uniform(1.0, 2.5), extra, aspect, segments=SEGMENTS)
 
 
-def _closed(rng: np.random.Generator, height: np.ndarray, radius: np.ndarray, aspect: float) -> list[trimesh.Trimesh]:
-    """The body under its lid, whose knob is turned or a strap."""
-    rim, strap = float(radius[-1]), rng.random() < 0.2
-    knob = 0.0 if strap else float(np.clip(rim * rng.uniform(0.13, 0.24), 0.012, 0.028))
+def _closed(
+    rng: np.random.Generator, height: np.ndarray, radius: np.ndarray, aspect: float, breaks: tuple[float, float]
+) -> trimesh.Trimesh:
+    """The body under its lid, whose knob stays round, whatever the body is."""
+    rim = float(radius[-1])
     dome = rim * rng.choice([rng.uniform(0.03, 0.15), rng.uniform(0.15, 0.42)])
-    cover = lid(rng, rim, float(height[-1]), dome=dome, knob=knob)
-    # The knob stays round, whatever the body is.
-    lid_aspect = np.where(cover[:, 0] > 0.4 * rim, aspect, 1.0)
-    rings = [rows([1e-6], [0.0]), rows(radius, height, aspect=aspect)]
-    rings.append(rows(cover[:, 0], cover[:, 1], aspect=lid_aspect))
-    body = loft(np.concatenate(rings), segments=_SEGMENTS)
-    if not strap:
-        return [body]
-    span, top = rng.uniform(0.026, 0.05), float(cover[:, 1].max())
-    low = float(np.interp(span, cover[::-1, 0], cover[::-1, 1])) - 0.004
-    along, across = rng.uniform(0.003, 0.006), rng.uniform(0.005, 0.011)
-    return [body, bail(rng, span, low, top + rng.uniform(0.024, 0.04), along=along, across=across)]
+    knob = float(np.clip(rim * rng.uniform(0.13, 0.24), 0.012, 0.028))
+    cover, top = knobbed(rng, rim, float(height[-1]), dome=dome, knob=knob, over=rng.uniform(0.0, 0.004))
+    side = rows(radius, height, aspect=aspect)
+    low, high = np.searchsorted(height, breaks)
+    stretches = [side[: low + 1], side[low : high + 1], side[high:]]
+    lid = rows(cover[:, 0], cover[:, 1], aspect=np.where(cover[:, 0] > 1.8 * knob, aspect, 1.0))
+    pieces = [np.concatenate([rows([1e-6], [0.0]), side[:1]]), *stretches, lid, rows(top[:, 0], top[:, 1])]
+    body = matched(pieces, (*_SIDE, 17, 15), segments=SEGMENTS)
+    _space_disc(body, floor=False)
+    return body
+
+
+def _space_disc(body: trimesh.Trimesh, *, floor: bool) -> None:
+    """Rings of the flat underside, and of the floor, farther apart where they are wider: even ones would be needles."""
+    grid = np.array(body.vertices[1:-1]).reshape(-1, SEGMENTS, 3)
+    share = np.geomspace(1.0, 0.03, _DISC)[:, None, None]
+    grid[:_DISC, :, :2] = grid[_DISC - 1, :, :2] * share[::-1]
+    if floor:
+        grid[-_DISC:, :, :2] = grid[-_DISC, :, :2] * share
+    body.vertices = np.concatenate([body.vertices[:1], grid.reshape(-1, 3), body.vertices[-1:]])
+
+
+def _eared(rng: np.random.Generator, body: trimesh.Trimesh, depth: float, across: float) -> trimesh.Trimesh:
+    half, along = float(np.clip(depth * rng.uniform(0.3, 0.45), 0.026, 0.055)), rng.uniform(0.003, 0.0075)
+    return with_ears(
+        body,
+        _FIRST_ROW,
+        half=half,
+        reach=rng.uniform(0.024, 0.045),
+        along=along,
+        across=across,
+        power=rng.uniform(2.1, 4.5),
+        rise=rng.choice([0.0, rng.uniform(0.0, 0.5)]),
+    )
+
+
+def _handle(rng: np.random.Generator, height: np.ndarray, radius: np.ndarray) -> trimesh.Trimesh:
+    along, tall = rng.uniform(0.004, 0.009), float(height[-1])
+    at = tall - along - _BELOW_RIM_M - rng.uniform(0.0, 0.25) * tall
+    side, length = float(np.interp(at, height, radius)), rng.uniform(0.13, 0.21)
+    return long_handle(rng, side, at, length=length, along=along, across=rng.uniform(0.009, 0.016))
 
 
 POT = Family(
