@@ -178,6 +178,5 @@ TRUCK = Family(
         "alike": ("van", "bus"),
         "names": {"kitti": ("Truck",)},
     },
-    variants={"flatbed": {}, "semi": {}},
     members=120,
 )

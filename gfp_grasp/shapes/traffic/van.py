@@ -57,7 +57,7 @@ def _make(rng: np.random.Generator) -> Made:
     cab = Body(
         upper,
         lower_edge(rng, length, clear, rise=(0.05, 0.15), nose=upper[-1, 1]),
-        plan_of(rng, length, wide, tail=(0.005, 0.03), nose=(0.05, 0.16)),
+        plan_of(rng, length, wide, tail=(0.005, 0.03), nose=(0.04, 0.12)),
         _front(rng, style, tall, belt),
         belt=belt,
         round_top=rng.uniform(0.06, 0.2),
@@ -86,12 +86,12 @@ def _upper(rng: np.random.Generator, style: _Style, length: float, tall: float, 
     tail, nose = -length / 2, length / 2
     bonnet, screen = rng.uniform(*style.bonnet), rng.uniform(*style.screen)
     cowl = max(rng.uniform(*style.cowl_high) * tall, 2 * tyre + 0.3)
-    grille = max(cowl - (0.03 + rng.uniform(0.12, 0.35) * bonnet), 2 * tyre + 0.1)
+    grille = max(cowl - (0.03 + rng.uniform(0.1, 0.3) * bonnet), 2 * tyre + 0.1)
     bumper = rng.uniform(0.5, 0.66)
     lean = rng.uniform(0.01, 0.05)
     window = rng.uniform(*style.window)
     waist = rng.uniform(0.48, 0.62) * tall
-    snout = rng.uniform(0.02, min(0.25, 0.4 * bonnet))
+    snout = rng.uniform(0.02, min(0.16, 0.4 * bonnet))
     roof_front = nose - bonnet - screen
     corners = [
         [tail, bumper], [tail + 0.5 * lean, bumper + 0.08], [tail + lean, waist],
@@ -140,6 +140,5 @@ VAN = Family(
         "alike": ("car", "truck"),
         "names": {"kitti": ("Van",)},
     },
-    variants={"box": {}},
     members=120,
 )
