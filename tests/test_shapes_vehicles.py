@@ -69,15 +69,24 @@ def test_a_cone_narrows_upwards_from_a_wide_base_and_is_centred() -> None:
         assert widths[1] > widths[2] > widths[3]
 
 
-def test_a_sign_has_its_plate_high_up_before_the_pole_and_its_pole_on_the_axis() -> None:
+def test_a_sign_is_a_thin_plate_across_x_high_up_on_a_pole_that_stands_on_the_axis() -> None:
     for seed in SEEDS:
         mesh = make_shape("traffic_sign", seed).mesh
         assert 1.75 < mesh.extents[2] < 3.7
         wide = np.asarray(mesh.vertices)[np.abs(mesh.vertices[:, 1]) > 0.12]
-        assert wide[:, 0].min() > 0.01
+        assert 0.015 < np.ptp(wide[:, 0]) < 0.04
+        assert wide[:, 0].max() > 0.0
         assert wide[:, 2].min() > 0.25 * mesh.extents[2]
         foot = np.asarray(mesh.vertices)[mesh.vertices[:, 2] < 1e-3]
-        np.testing.assert_allclose(foot[:, :2].min(axis=0) + foot[:, :2].max(axis=0), 0.0, atol=1e-4)
+        assert np.linalg.norm(foot[:, :2], axis=1).max() < 0.08
+        np.testing.assert_allclose(foot[:, :2].mean(axis=0), 0.0, atol=1e-6)
+
+
+def test_signs_are_one_mesh_in_several_shapes() -> None:
+    first, *others = (make_shape("traffic_sign", seed) for seed in range(8))
+    assert len({first.kind, *(shape.kind for shape in others)}) >= 4
+    for shape in others:
+        np.testing.assert_array_equal(shape.mesh.faces, first.mesh.faces)
 
 
 def test_a_wheel_is_a_disc_about_y_whose_dished_face_looks_outward() -> None:

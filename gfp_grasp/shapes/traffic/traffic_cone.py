@@ -1,4 +1,4 @@
-"""Traffic cones on square, round or eight-cornered bases, with collars, bands and tips of many kinds."""
+"""Traffic cones on square or round bases, with collars, bands and tips of many kinds."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def _side(rng: np.random.Generator, foot: float, tip: float, plate: float, tall:
     bend = radius[-1] * {"flat": rng.uniform(0.1, 0.3), "dome": 0.95, "knob": 0.6}[end]
     turn = np.linspace(0, np.pi / 2, 10)[1:-1]
     over = np.column_stack([radius[-1] - bend * (1 - np.cos(turn)), z[-1] + bend * np.sin(turn)])
-    cap = np.array([[radius[-1] - bend, z[-1] + bend]]) * [1.0, 1.0]
+    cap = np.array([[radius[-1] - bend, z[-1] + bend]])
     return np.concatenate([np.column_stack([radius, z]), over, np.maximum(cap, [[1e-3, 0.0]])])
 
 
