@@ -10,7 +10,7 @@ from gfp_grasp.shapes.family import Family, Made
 from gfp_grasp.shapes.loft import loft, rounded, rows, smoothstep, unite
 from gfp_grasp.transforms import make_T, rotation_about
 
-_KINDS = {"gable": 0.55, "brick": 0.33, "egg": 0.12}
+_KINDS = {"gable": 0.62, "brick": 0.28, "egg": 0.1}
 
 
 def _make(rng: np.random.Generator) -> Made:

@@ -12,7 +12,7 @@ from gfp_grasp.shapes.loft import loft, rounded, rows, smooth_noise, smoothstep,
 from gfp_grasp.shapes.spouts import drawn_out, spout
 
 _GRID = 160
-_KINDS = {"stove": 0.5, "electric": 0.28, "moka": 0.22}
+_KINDS = {"stove": 0.66, "electric": 0.18, "moka": 0.16}
 _SEGMENTS = 64
 
 
