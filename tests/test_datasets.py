@@ -11,8 +11,8 @@ from toy_primitive import toy_cup_primitive
 from gfp_grasp.datasets import LAYOUTS, layout_of, read_dataset
 from gfp_grasp.errors import InvalidOption, UnreadableFile
 from gfp_grasp.primitives import PrimitiveLibrary, save_primitive
-from gfp_grasp.scenes import label_of, load_objects
-from gfp_grasp.shapes import FAMILIES, make_shape, split_seeds
+from gfp_grasp.scenes import label_of, load_objects, shipped_families
+from gfp_grasp.shapes import HOUSEHOLD, TRAFFIC, make_shape, split_seeds
 from gfp_grasp.train.labels import make_labels
 from gfp_grasp.train.views import cached_views
 from gfp_grasp.transforms import make_T, rotation_about
@@ -135,6 +135,13 @@ def test_names_of_files_say_class_and_name_the_same_way_everywhere(tmp_path: Pat
     assert [source.name for sources in splits for source in sources] == ["mug-a"]
 
 
-def test_all_objects_are_those_of_every_family():
-    assert load_objects("all", "val") == load_objects(",".join(FAMILIES), "val")
-    assert label_of("all") == ",".join(FAMILIES)
+def test_all_objects_are_those_of_the_classes_that_ship():
+    assert shipped_families() == ("cup", "mug", "bottle")
+    assert load_objects("all", "val") == load_objects("cup,mug,bottle", "val")
+    assert label_of("all") == "cup,mug,bottle"
+
+
+def test_groups_of_families_have_names():
+    assert [source.family for source in load_objects("traffic", "test", limit=3)] == list(TRAFFIC[:3])
+    assert {source.family for source in load_objects("household", "val")} == set(HOUSEHOLD)
+    assert label_of("household") == ",".join(HOUSEHOLD)

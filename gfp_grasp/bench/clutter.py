@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 import trimesh
 
-from gfp_grasp.scenes import ObjectSource
-from gfp_grasp.shapes import FAMILIES, split_seeds
+from gfp_grasp.scenes import ObjectSource, shipped_families
+from gfp_grasp.shapes import split_seeds
 from gfp_grasp.transforms import make_T, rotation_about
 
 MOST = 5
@@ -39,10 +39,10 @@ def draw_clutter(rng: np.random.Generator, *, least: int = 2, spread_m: float = 
         least: Fewest objects that are drawn; 5 are the most.
         spread_m: How far their middles may lie from the origin, along x and along y.
     """
-    placed: list[PlacedShape] = []
+    families, placed = shipped_families(), list[PlacedShape]()
     circles: list[tuple[np.ndarray, float]] = []
     for _ in range(int(rng.integers(least, MOST + 1))):
-        family = FAMILIES[int(rng.integers(len(FAMILIES)))]
+        family = families[int(rng.integers(len(families)))]
         seed = int(rng.choice(split_seeds(family, "test")))
         source = ObjectSource(f"{family}-{seed}", family, family=family, seed=seed)
         mesh = source.load_mesh().copy()

@@ -22,7 +22,8 @@ from gfp_grasp.metrics import chamfer_m
 from gfp_grasp.parallel import pmap
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.register import FitConfig, fit_primitive
-from gfp_grasp.shapes import FAMILIES, split_seeds
+from gfp_grasp.scenes import shipped_families
+from gfp_grasp.shapes import split_seeds
 from gfp_grasp.train import View, ViewsConfig, render_views, shape_source
 from gfp_grasp.transforms import apply_T
 from gfp_grasp.types import FittedPrimitive, GenericPrimitive
@@ -111,12 +112,13 @@ def bench_registration(
     unknown = set(starts) - set(STARTS)
     if unknown:
         raise InvalidOption(f"unknown starts {sorted(unknown)}; legal are {', '.join(STARTS)}")
-    jobs = [(family, int(seed)) for family in FAMILIES for seed in split_seeds(family, "test")[: config.limit]]
+    families = shipped_families()
+    jobs = [(family, int(seed)) for family in families for seed in split_seeds(family, "test")[: config.limit]]
     run = partial(_rows_of_shape, starts=tuple(starts), config=config)
     flat = [row for rows in pmap(run, jobs, workers=workers, progress=progress) for row in rows]
     rows = {
         family: {s: _summarise([row for row in flat if row.family == family and row.start == s]) for s in starts}
-        for family in FAMILIES
+        for family in families
     }
     rows["all"] = {s: _summarise([row for row in flat if row.start == s]) for s in starts}
     settings = {**asdict(config), "view": asdict(ViewsConfig())}

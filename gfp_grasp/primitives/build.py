@@ -281,7 +281,7 @@ def _assemble(
         )
 
     variants = []
-    for parts in _subsets(region_names[len(BODY_REGIONS) :]) if config.optional_parts else []:
+    for parts in _subsets(region_names[len(BODY_REGIONS) :] if config.optional_parts else ()):
         part = np.isin(regions, [region_names.index(name) for name in parts])
         try:
             kept, own_faces = without_part(vertices, thin, part)

@@ -4,7 +4,14 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from gfp_grasp.scenes.objects import TARGET, SceneObject, mesh_sha256, true_object
-from gfp_grasp.scenes.sources import ALL_FAMILIES, ObjectSource, class_and_name, label_of, load_objects
+from gfp_grasp.scenes.sources import (
+    ALL_FAMILIES,
+    ObjectSource,
+    class_and_name,
+    label_of,
+    load_objects,
+    shipped_families,
+)
 from gfp_grasp.scenes.world import place_clutter
 
 if TYPE_CHECKING:
@@ -62,6 +69,7 @@ __all__ = [
     "place_gripper",
     "save_scene",
     "settle_file",
+    "shipped_families",
     "true_object",
     "view_room",
 ]

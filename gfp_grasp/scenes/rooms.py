@@ -16,8 +16,9 @@ import trimesh
 from gfp_grasp.camera import SensorModel, apply_sensor, intrinsics, render_mesh_view, sample_viewpoint
 from gfp_grasp.errors import InvalidOption, InvalidScene
 from gfp_grasp.scenes.check import diverged
+from gfp_grasp.scenes.sources import shipped_families
 from gfp_grasp.scenes.world import place_clutter
-from gfp_grasp.shapes import FAMILIES, SPLITS, make_assorted, make_shape, split_seeds
+from gfp_grasp.shapes import SPLITS, make_assorted, make_shape, split_seeds
 from gfp_grasp.transforms import make_T, rotation_about
 from gfp_grasp.types import DepthImage
 
@@ -148,7 +149,8 @@ def _thing(rng: np.random.Generator, split: str) -> trimesh.Trimesh:
         mesh = make_assorted(int(rng.integers(kinds.start, kinds.stop)), int(rng.integers(1000)))
         mesh.apply_scale(rng.uniform(0.6, 1.0))
     else:
-        family = FAMILIES[int(rng.integers(len(FAMILIES)))]
+        families = shipped_families()
+        family = families[int(rng.integers(len(families)))]
         mesh = make_shape(family, int(rng.choice(split_seeds(family, split)))).mesh.copy()
     mesh.apply_scale(min(1.0, _LARGEST_M / float(mesh.extents.max())))
     mesh.apply_translation([0, 0, -mesh.bounds[0, 2]])

@@ -18,7 +18,7 @@ from gfp_grasp.scenes.objects import Decompose, rested, solid_mesh, true_object
 from gfp_grasp.transforms import make_T, rotation_about
 from gfp_grasp.types import TrueObject
 
-ALL_FAMILIES = "all"  # every procedural family, in place of their names
+ALL_FAMILIES = "all"  # in place of the names of `shipped_families`
 
 
 @dataclass(frozen=True)
@@ -49,7 +49,7 @@ class ObjectSource:
             return rested(solid_mesh(self._in_metres(load_mesh(self.path))))
         from gfp_grasp.shapes import make_shape
 
-        return rested(solid_mesh(make_shape(self.family, self.seed)))
+        return rested(make_shape(self.family, self.seed).mesh)  # a volume, but of any size: networks see lorries too
 
     def _in_metres(self, mesh: trimesh.Trimesh) -> trimesh.Trimesh:
         """The mesh with z up and of the height that it should have."""
@@ -87,8 +87,9 @@ def load_objects(
     """Objects of procedural families or of mesh files, not loaded yet.
 
     Args:
-        family_or_folder: A procedural family, several with commas between or "all", a mesh file, or a folder of mesh
-            files named `<class>__<name>.<suffix>`, or just `<name>.<suffix>` where the class is unknown.
+        family_or_folder: A procedural family, several with commas between, "household" or "traffic" for all of a
+            group, "all" for the household families whose classes ship; a mesh file, or a folder of mesh files named
+            `<class>__<name>.<suffix>`, or just `<name>.<suffix>` where the class is unknown.
         split: Seeds of a family: train, val or test. Files have no split.
         limit: Most objects: families take turns, files come in the order of their names.
 
@@ -121,9 +122,16 @@ def load_objects(
     )
 
 
+def shipped_families() -> tuple[str, ...]:
+    """The household families whose classes ship with the package."""
+    from gfp_grasp.shapes import HOUSEHOLD
+
+    return tuple(family for family in HOUSEHOLD if family in PrimitiveLibrary.shipped().categories)
+
+
 def label_of(objects: str | Path) -> str:
     """Families by their names, files and folders by their own name: results never hold a path."""
-    if str(objects) == ALL_FAMILIES:
+    if str(objects) in _groups():
         return ",".join(_families(objects))
     return Path(objects).resolve().name if Path(objects).exists() else str(objects)
 
@@ -135,11 +143,17 @@ def class_and_name(path: Path) -> tuple[str, str]:
 
 
 def _families(objects: str | Path) -> list[str]:
-    from gfp_grasp.shapes import FAMILIES
-
-    if str(objects) == ALL_FAMILIES:
-        return list(FAMILIES)
+    group = _groups().get(str(objects))
+    if group is not None:
+        return list(group)
     return [family.strip() for family in str(objects).split(",") if family.strip()]
+
+
+def _groups() -> dict[str, tuple[str, ...]]:
+    """Families of which one word stands for all."""
+    from gfp_grasp.shapes import HOUSEHOLD, TRAFFIC
+
+    return {ALL_FAMILIES: shipped_families(), "household": HOUSEHOLD, "traffic": TRAFFIC}
 
 
 def _shape_sources(family: str, seeds: Sequence[int]) -> list[ObjectSource]:
