@@ -96,7 +96,7 @@ def test_sample_capture_is_completed_into_every_format(tmp_path: Path, capsys: p
         (("bench", "detection", "--data", "nowhere"), "nowhere"),
         (("bench", "registration", "--starts", "magic"), "magic"),
         (("gps", "build", "teapot", "--meshes", "."), ""),
-        (("gps", "build", "teapot"), "teapot"),
+        (("gps", "build", "boat"), "boat"),
         (("gps", "build", "teapot", "--meshes", ".", "--orientation", "sideways"), "sideways"),
         (("gps", "dance"), "dance"),
         (("dance",), "dance"),
