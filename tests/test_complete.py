@@ -210,7 +210,7 @@ def test_bad_clouds_are_refused_by_name(cloud, error):
 def test_bad_options_are_refused_by_name(mug):
     cloud = mug[3]
     with pytest.raises(UnknownCategory, match="bottle"):
-        complete_to_mesh(cloud.points, category="teapot")
+        complete_to_mesh(cloud.points, category="boat")
     with pytest.raises(InvalidView):
         complete_to_mesh(cloud.points, mask=np.ones((2, 2), dtype=bool))
     with pytest.raises(GfpGraspError):

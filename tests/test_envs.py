@@ -240,7 +240,7 @@ def test_reset_takes_an_object_and_a_completion(make):
         ({"sensor": "lidar"}, InvalidOption, "sensor"),
         ({"num_points": 0}, InvalidOption, "num_points"),
         ({"elevation_min_deg": 70.0}, InvalidOption, "elevations"),
-        ({"objects": "teapot"}, InvalidOption, "teapot"),
+        ({"objects": "boat"}, InvalidOption, "boat"),
         ({"completer": "magic"}, UnknownCompleter, "oracle, observed, mirror"),
     ],
 )

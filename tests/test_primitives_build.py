@@ -330,7 +330,7 @@ def test_unknown_orientation_is_refused():
 
 def test_families_and_folders_that_are_not_there_are_refused(tmp_path):
     with pytest.raises(UnknownCategory, match="cup, mug, bottle"):
-        build_from_shapes("teapot")
+        build_from_shapes("boat")
     with pytest.raises(InvalidOption, match="members"):
         build_from_shapes("cup", members=100000)
     with pytest.raises(InvalidOption, match="winged"):
