@@ -53,6 +53,7 @@ def test_options_of_a_build_are_those_that_the_shipped_primitives_were_built_wit
         "max_flipped": 0.03,
         "min_members": 5,
         "symmetry_share": 0.9,
+        "optional_parts": True,
         "parts": True,
         "licence": "",
         "correspondence": {
@@ -66,7 +67,7 @@ def test_options_of_a_build_are_those_that_the_shipped_primitives_were_built_wit
             "num_samples": 3000,
         },
         "remesh": {"tolerance": 0.0012, "min_edge": 0.015, "max_edge": 0.05, "iterations": 6},
-        "resample": {"max_error_m": 0.0005, "max_mode_error_m": 0.001, "max_edge": 0.09},
+        "resample": {"max_error_m": 0.0005, "max_error": 0.0016, "mode_error": 2.0, "max_edge": 0.09},
     }
 
 

@@ -61,8 +61,8 @@ def _shapes(mesh: trimesh.Trimesh) -> np.ndarray:
     ("name", "config"),
     [
         ("default", ResampleConfig()),
-        ("modes", ResampleConfig(max_error_m=0.002, max_mode_error_m=0.0012, max_edge=0.25)),
-        ("edges", ResampleConfig(max_error_m=0.01, max_mode_error_m=0.01, max_edge=0.15)),
+        ("modes", ResampleConfig(max_error_m=0.002, mode_error=0.6, max_edge=0.25)),
+        ("edges", ResampleConfig(max_error_m=0.01, mode_error=1.0, max_edge=0.15)),
     ],
 )
 def test_a_mesh_of_many_shapes_is_thinned_out_as_ever(remeshed, name: str, config: ResampleConfig) -> None:
