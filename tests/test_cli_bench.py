@@ -7,6 +7,7 @@ import pytest
 from recorded_calls import recorded, rows_of, run
 
 from gfp_grasp.bench import BRIEF, METHODS, AblationConfig, CompletionConfig, RegistrationConfig
+from gfp_grasp.primitives import PrimitiveLibrary
 
 ROW = {"cd_m": 0.00456, "f_score": 0.9123, "iou": 0.5678, "scale_error_median": 0.0213, "ms": 41.6, "views": 7}
 PAIRED = {"pairs": 3, "ci95_m": (-0.000123, 0.000456), "gain_m": 0.000234, "gain_share": 0.0716, "wins": 0.652}
@@ -83,6 +84,33 @@ def test_methods_have_short_names_together_and_what_is_not_asked_for_is_not_done
     assert bench.only[1]["known"] is None
     assert bench.only[1]["config"] == CompletionConfig(16, 0, "test", None, False, 0.001, "standard", "")
     assert not bars.calls
+
+
+def test_primitives_hands_on_every_option_and_prints_figures_and_fits(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, json_file: Path
+) -> None:
+    row = {"vertices": 985, "modes": 8, "variance_kept": 0.993, "generalization_mm": 0.261, "specificity_mm": 6.46}
+    row |= {"generalization_percent": 0.245, "parts": 94, "parts_error_mm": [0.215, 0.8], "build_s": 205}
+    fit = {"mesh": "a_bowl", "primitive": "bowl.open", "length_m": 0.161, "error_mm": 0.494, "error_percent": 0.307}
+    bare = {**dict.fromkeys(row), "vertices": 3, "modes": 1}
+    report = {"rows": {"glass": row, "own": bare}, "fits": [fit]}
+    bench = recorded(monkeypatch, "gfp_grasp.bench.bench_primitives", report)
+    drawn = [recorded(monkeypatch, f"gfp_grasp.drawing.draw_{name}") for name in ("primitives", "modes")]
+    words = "bench primitives --workers 3 --data"
+    assert run(words, tmp_path, "--data", tmp_path, "--pictures", tmp_path, "--json", json_file) == 0
+    library = PrimitiveLibrary.shipped()
+    told = {"library": library, "workers": 3, "progress": "bar of meshes"}
+    assert bench.only == (([tmp_path, tmp_path],), told)
+    assert [call.only[0] for call in drawn] == [
+        (library, tmp_path / "primitives.png"),
+        (library, tmp_path / "modes.png"),
+    ]
+    assert rows_of(capsys.readouterr().out) == [
+        "glass     │      985 │     8 │     0.99 │         0.26 │ 0.24 │       6.5 │    94 │    0.21 │ 205",
+        "own       │        3 │     1 │        - │            - │    - │         - │     - │       - │   -",
+        "a_bowl │ bowl.open │      0.16 │    0.49 │ 0.31",
+    ]
+    assert json.loads(json_file.read_text()) == report
 
 
 def test_registration_hands_on_every_option_and_prints_degrees_and_millimetres(
