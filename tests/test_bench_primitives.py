@@ -70,10 +70,6 @@ def test_every_class_has_a_panel_and_modes_swing_both_ways(library, tmp_path: Pa
 
 
 def test_the_card_of_a_build_has_its_parts_and_their_error(toy, monkeypatch):
-    from types import SimpleNamespace
-
-    from gfp_grasp.primitives import with_parts
-
     levels = SimpleNamespace(
         parts=toy.parts, merges=np.zeros((0, 2)), errors_m=np.array([[0.004, 0.009], [0.0012345, 0.003]])
     )
