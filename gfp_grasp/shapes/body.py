@@ -20,8 +20,8 @@ _DECIMALS = 3  # sections stand on whole millimetres: none is too close to anoth
 _SMOOTH_M = 0.06  # the creases of the front silhouette are blurred over twice this height
 # The slender triangles along edges go, and what is left is split evenly, as a template cut from the member needs it.
 # The first of these that leaves no faces that cross is taken.
-_EVEN_M = (0.003, 0.001, 1e-5)
-_LONGEST_EDGE = 0.038  # share of a vehicle's length
+_EVEN_M = (0.003, 0.002, 0.001, 1e-5)
+_LONGEST_EDGE = 0.043  # share of a vehicle's length
 _ARC = np.linspace(0, np.pi / 2, 5)
 _FLANK = np.linspace(0, 1, 7)[1:]
 _GLASS = np.linspace(0, 1, 6)[1:-1]
