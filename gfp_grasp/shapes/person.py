@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gfp_grasp.shapes.skeleton import Bone
+from gfp_grasp.shapes.bones import Bone
 from gfp_grasp.transforms import rotation_about
 
 SIDES = {"left": 1.0, "right": -1.0}

@@ -8,9 +8,11 @@ from functools import cache
 import numpy as np
 import trimesh
 
+from gfp_grasp.shapes.bones import carried
 from gfp_grasp.shapes.family import Family, Made
+from gfp_grasp.shapes.grown import grown
 from gfp_grasp.shapes.person import ARM_OUT_RAD, SIDES, Figure, bulged, draw_figure, standing_bones, swing
-from gfp_grasp.shapes.skeleton import Skeleton, carried, first_clean, grown
+from gfp_grasp.shapes.skeleton import Skeleton, first_clean
 
 _KINDS = {"standing": 0.3, "walking": 0.4, "coat": 0.1, "pack": 0.1, "child": 0.1}
 _SAFE_OUT_RAD = np.radians(30.0)
@@ -27,7 +29,7 @@ class _Pose:
     hip: tuple[float, float]
     spread: tuple[float, float]
     knee: tuple[float, float]
-    ankle: tuple[float, float]
+    ankle: tuple[float, ...]
     toe: tuple[float, float]
     arm: tuple[float, float]
     out: tuple[float, float]
