@@ -108,6 +108,7 @@ def build_primitive(
     members = bring_into_one_pose(solids, config.orientation, rng)
     alike = _of_one_mesh(members, dropped)
     if alike:
+        config = replace(config, smoothing=0.0)  # one mesh in many shapes has no noise of a fit
         vertices, faces = np.stack([np.asarray(member.vertices) for member in alike]), np.asarray(alike[0].faces)
     else:
         vertices, faces = _bent_template(members, dropped, config, rng, seed, progress)
@@ -225,9 +226,9 @@ def _into_frame(vertices: np.ndarray, faces: np.ndarray, config: BuildConfig) ->
 
 def _smooth(mean: np.ndarray, faces: np.ndarray, width: float) -> np.ndarray:
     """The mean on its moving-least-squares surface, small folds undone before and after."""
-    mean = untangle(mean, faces)
     if width <= 0:
-        return mean
+        return untangle(mean, faces) if len(crossing_faces(mean, faces)) else mean
+    mean = untangle(mean, faces)
     normals = vertex_normals(mean, faces)
     edge = float(np.linalg.norm(mean[faces[:, 0]] - mean[faces[:, 1]], axis=1).mean())
     return untangle(project(mean, normals, mean, normals, radius_m=width * edge), faces)
@@ -319,16 +320,12 @@ def _assemble(
         card=card,
         **shared,
     )
-    return replace(full, variants=tuple(_with_spec_of(full, variant) for variant in variants))
+    return replace(full, variants=tuple(replace(v, primitive=replace(v.primitive, spec=full.spec)) for v in variants))
 
 
 def _subsets(names: Sequence[str]) -> list[tuple[str, ...]]:
     """Every set of at least one of the names."""
     return [chosen for count in range(1, len(names) + 1) for chosen in combinations(names, count)]
-
-
-def _with_spec_of(primitive: GenericPrimitive, variant: Variant) -> Variant:
-    return replace(variant, primitive=replace(variant.primitive, spec=primitive.spec))
 
 
 def with_parts(primitive: GenericPrimitive) -> GenericPrimitive:

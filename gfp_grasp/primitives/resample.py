@@ -76,13 +76,14 @@ def resample(
             low = count
         else:
             high = count - 1
-    while True:
+    while low > 0:
         carry, thin = _carrier(shapes[0], faces, *_after(history, low, faces, len(shapes[0])))
         error = _farthest_m(shapes[0], faces, carry @ shapes[0], thin, rng, allowed_m)
         # Measured on other samples than in the search: what is reported has to hold as well.
-        if error <= allowed_m or low == 0:
+        if error <= allowed_m:
             return carry, thin, error
         low = max(0, low - max(1, len(history) // 100))
+    return np.eye(len(shapes[0])), faces, 0.0  # every vertex is needed, where it is
 
 
 def _collapse_all(shapes: np.ndarray, faces: np.ndarray, limit: float) -> list[tuple[int, int]]:
