@@ -20,6 +20,8 @@ from gfp_grasp.shapes.bones import Bones
 _POWER = 7.0
 # Vertices at a crossing give way this many times before the whole has to.
 _MENDING_ROUNDS = 5
+# Mending goes on while it leaves less than this share of the crossings.
+_WORTH_MENDING = 0.8
 
 
 @dataclass(frozen=True, eq=False)
@@ -72,12 +74,13 @@ class Skeleton:
         maps = self._blended(moves)
         near = _near(self.vertices, self.faces, 1.0)
         near = sparse.diags(1 / np.asarray(near.sum(axis=1)).ravel()) @ near
-        crossing = np.zeros(len(self.vertices), dtype=bool)
+        crossing, fewest = np.zeros(len(self.vertices), dtype=bool), np.inf
         for _ in range(_MENDING_ROUNDS):
             places = _through(maps, self.vertices)
             pairs = crossing_faces(places, self.faces)
-            if len(pairs) == 0:
+            if len(pairs) == 0 or len(pairs) > _WORTH_MENDING * fewest:
                 break
+            fewest = len(pairs)
             crossing[self.faces[pairs.ravel()]] = True
             for _ in range(2):
                 maps[crossing] = (near[crossing] @ maps.reshape(-1, 12)).reshape(-1, 3, 4)
