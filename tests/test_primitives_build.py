@@ -43,8 +43,8 @@ def _thin_cups(count):
         cup(height=rng.uniform(0.08, 0.13), bottom=rng.uniform(0.025, 0.03), top=rng.uniform(0.033, 0.045), wall=0.0015)
         for _ in range(count)
     ]
-    # Faces in another order: members do not correspond by themselves.
-    members[1] = trimesh.Trimesh(members[1].vertices, np.roll(members[1].faces, 1, axis=0), process=False)
+    for member in members[2:5]:  # faces in another order: fewer than most correspond by themselves
+        member.faces = np.roll(member.faces, 1, axis=0)
     return members
 
 
@@ -237,8 +237,8 @@ def test_built_primitive_is_a_clean_upright_volume(thin_primitive):
 def test_built_primitive_has_the_figures_that_it_had_when_the_shipped_ones_were_built(thin_primitive):
     """Whoever changes the build on purpose builds the shipped primitives again, measures, and then changes these."""
     mesh = trimesh.Trimesh(thin_primitive.vertices, thin_primitive.faces, process=False)
-    assert len(mesh.vertices) == pytest.approx(851, rel=0.02)
-    np.testing.assert_allclose(mesh.extents, [0.08103, 0.08112, 0.09800], rtol=2e-3)
+    assert len(mesh.vertices) == pytest.approx(791, rel=0.02)
+    np.testing.assert_allclose(mesh.extents, [0.0812, 0.0812, 0.0980], rtol=2e-3)
     assert 1e6 * mesh.volume == pytest.approx(38.99, rel=0.01)
     assert 1e4 * mesh.area == pytest.approx(447.4, rel=0.01)
     assert (thin_primitive.regions == INSIDE).sum() == pytest.approx(381, rel=0.05)

@@ -16,7 +16,7 @@ from gfp_grasp.meshes import crossing_faces, triangle_normals, vertex_normals
 from gfp_grasp.primitives.remesh import _rings
 from gfp_grasp.primitives.surface import Surface
 
-# A collapse may turn a face by up to 72 degrees in any of the shapes, and leave no needle.
+# A collapse may turn a face by up to 72 degrees in any of the shapes, and make no needle, or none that is thinner.
 _MAX_TURN, _MIN_HEIGHT = 0.3, 0.12
 # Weight of a kept vertex's own place against the dense vertices around it, when it is moved to fit them.
 _ANCHOR = 0.2
@@ -71,13 +71,13 @@ def resample(
     low, high = 0, len(history)  # low collapses are fine, more than high are not
     while high - low > len(history) // 100:
         count = (low + high + 1) // 2
-        carry, thin = _carrier(shapes[0], faces, *_after(history, count, faces, len(shapes[0])))
+        carry, thin = _carrier(shapes[0], faces, *_after(history, count, faces, len(shapes[0])), allowed_m)
         if _fits(shapes, faces, carry, thin, rng, allowed_m, config.mode_error):
             low = count
         else:
             high = count - 1
     while low > 0:
-        carry, thin = _carrier(shapes[0], faces, *_after(history, low, faces, len(shapes[0])))
+        carry, thin = _carrier(shapes[0], faces, *_after(history, low, faces, len(shapes[0])), allowed_m)
         error = _farthest_m(shapes[0], faces, carry @ shapes[0], thin, rng, allowed_m)
         # Measured on other samples than in the search: what is reported has to hold as well.
         if error <= allowed_m:
@@ -161,10 +161,16 @@ def _legal(points, faces, index: set[int], i: int, j: int, ring: set[int], limit
     normal = triangle_normals(before)
     cross = triangle_normals(after)
     area = np.linalg.norm(cross, axis=2)
-    longest = np.linalg.norm(after - np.roll(after, 1, axis=1), axis=3).max(axis=1)
-    if (area[:, 0] < _MIN_HEIGHT * longest[:, 0] ** 2).any():
+    flatness, old_flatness = _flatness(after[:, :, 0]), _flatness(before[:, :, 0])
+    if ((flatness < _MIN_HEIGHT) & (flatness < old_flatness)).any():
         return False
     return bool(((cross * normal).sum(axis=2) > _MAX_TURN * area * np.linalg.norm(normal, axis=2)).all())
+
+
+def _flatness(corners: np.ndarray) -> np.ndarray:
+    """(n,) height over the longest side of triangles (n, 3, 3)."""
+    longest = np.linalg.norm(corners - np.roll(corners, 1, axis=1), axis=2).max(axis=1)
+    return np.linalg.norm(triangle_normals(corners), axis=1) / np.maximum(longest, 1e-300) ** 2
 
 
 def _after(history: list[tuple[int, int]], count: int, faces: np.ndarray, num: int) -> tuple[np.ndarray, np.ndarray]:
@@ -178,8 +184,14 @@ def _after(history: list[tuple[int, int]], count: int, faces: np.ndarray, num: i
     return kept, inverse.reshape(-1, 3)
 
 
-def _carrier(dense: np.ndarray, faces: np.ndarray, kept: np.ndarray, thin: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Least-squares map (w, v) that takes dense vertices to thin ones, so that thin triangles run through the dense."""
+def _carrier(
+    dense: np.ndarray, faces: np.ndarray, kept: np.ndarray, thin: np.ndarray, allowed_m: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Least-squares map (w, v) that takes dense vertices to thin ones, so that thin triangles run through the dense.
+
+    A vertex that it would take farther away than allowed_m stays: around it, in a sharp corner, points were matched to
+    another sheet.
+    """
     triangles = dense[kept][thin]
     normals = vertex_normals(dense, faces)
     thin_normals = triangle_normals(triangles)
@@ -190,7 +202,10 @@ def _carrier(dense: np.ndarray, faces: np.ndarray, kept: np.ndarray, thin: np.nd
     pick = sparse.csr_matrix((np.ones(len(kept)), (np.arange(len(kept)), kept)), (len(kept), len(dense)))
     # Each kept vertex pulls on itself as well: it is seldom far off.
     gram = (interpolate.T @ interpolate + _ANCHOR * sparse.identity(len(kept))).tocsc()
-    return splu(gram).solve((interpolate.T + _ANCHOR * pick).toarray()), thin
+    carry = splu(gram).solve((interpolate.T + _ANCHOR * pick).toarray())
+    stray = np.linalg.norm(carry @ dense - dense[kept], axis=1) > allowed_m
+    carry[stray] = pick[stray].toarray()
+    return carry, thin
 
 
 def _nearest_faces(points, normals, triangles, face_normals) -> tuple[np.ndarray, np.ndarray]:
