@@ -43,8 +43,8 @@ def _thin_cups(count):
         cup(height=rng.uniform(0.08, 0.13), bottom=rng.uniform(0.025, 0.03), top=rng.uniform(0.033, 0.045), wall=0.0015)
         for _ in range(count)
     ]
-    for member in members[2:5]:  # faces in another order: fewer than most correspond by themselves
-        member.faces = np.roll(member.faces, 1, axis=0)
+    for number, member in enumerate(members):  # another corner first in another face: none corresponds by itself
+        member.faces[number] = np.roll(member.faces[number], 1)
     return members
 
 
@@ -237,11 +237,11 @@ def test_built_primitive_is_a_clean_upright_volume(thin_primitive):
 def test_built_primitive_has_the_figures_that_it_had_when_the_shipped_ones_were_built(thin_primitive):
     """Whoever changes the build on purpose builds the shipped primitives again, measures, and then changes these."""
     mesh = trimesh.Trimesh(thin_primitive.vertices, thin_primitive.faces, process=False)
-    assert len(mesh.vertices) == pytest.approx(791, rel=0.02)
-    np.testing.assert_allclose(mesh.extents, [0.0812, 0.0812, 0.0980], rtol=2e-3)
+    assert len(mesh.vertices) == pytest.approx(851, rel=0.02)
+    np.testing.assert_allclose(mesh.extents, [0.08103, 0.08112, 0.09800], rtol=2e-3)
     assert 1e6 * mesh.volume == pytest.approx(38.99, rel=0.01)
     assert 1e4 * mesh.area == pytest.approx(447.4, rel=0.01)
-    assert (thin_primitive.regions == INSIDE).sum() == pytest.approx(357, rel=0.05)
+    assert (thin_primitive.regions == INSIDE).sum() == pytest.approx(381, rel=0.05)
     np.testing.assert_allclose(thin_primitive.explained, [0.703, 0.170, 0.050, 0.047, 0.030], atol=0.015)
     sizes_mm = 1e3 * np.linalg.norm(thin_primitive.modes, axis=2).mean(axis=1)
     np.testing.assert_allclose(sizes_mm, [0.622, 0.262, 0.135, 0.140, 0.101], rtol=0.1)
