@@ -10,6 +10,7 @@ import trimesh
 from gfp_grasp.errors import InvalidOption, UnknownCategory
 from gfp_grasp.meshes import crossing_faces, sample_surface
 from gfp_grasp.shapes import FAMILIES, HOUSEHOLD, SPLITS, TRAFFIC, Family, Shape, get_family, make_shape, split_seeds
+from gfp_grasp.shapes.family import Made
 from gfp_grasp.types import CategorySpec
 
 HEIGHTS_M = {"cup": (0.045, 0.21), "mug": (0.065, 0.135), "bottle": (0.055, 0.37)}
@@ -53,7 +54,9 @@ def test_the_same_seed_gives_the_same_shape_and_others_differ(family):
 def test_a_family_says_of_its_class_what_a_card_can_hold(family):
     known = get_family(family)
     for name in known.names:
-        spec = CategorySpec(name, parent=family if "." in name else None, **known.spec_of(name))
+        spec = CategorySpec.from_dict(
+            {"category": name, "parent": family if "." in name else None, **known.spec_of(name)}
+        )
         assert set(spec.alike) <= set(FAMILIES) - {family}
         assert "upright" in spec.rests
     assert {name for names in known.also.values() for name in names} <= set(FAMILIES) - {family}
@@ -182,7 +185,11 @@ def _thickness(mesh: trimesh.Trimesh) -> np.ndarray:
 
 def test_a_variant_has_what_its_class_says_and_its_own():
     family = Family(
-        "urn", lambda rng: None, "household", {"hollow": True, "alike": ("cup",)}, {"lidded": {"hollow": False}}
+        "urn",
+        lambda rng: Made(trimesh.Trimesh(), "plain"),
+        "household",
+        {"hollow": True, "alike": ("cup",)},
+        {"lidded": {"hollow": False}},
     )
     assert family.names == ("urn", "urn.lidded")
     assert family.spec_of("urn") == {"hollow": True, "alike": ("cup",)}

@@ -172,7 +172,7 @@ def _within(values: np.ndarray, low: float, high: float) -> np.ndarray:
 
 def _half_width(mesh: trimesh.Trimesh, height: float) -> float:
     """Greatest distance m from the axis where a horizontal plane meets the mesh."""
-    section = trimesh.intersections.mesh_plane(mesh, [0, 0, 1], [0, 0, height + 1e-7]).reshape(-1, 3)
+    section = np.reshape(trimesh.intersections.mesh_plane(mesh, [0, 0, 1], [0, 0, height + 1e-7]), (-1, 3))  # pyright: ignore
     return float(np.hypot(section[:, 0], section[:, 1]).max())
 
 

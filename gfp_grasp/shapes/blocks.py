@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-
 import numpy as np
 import trimesh
+from numpy.typing import ArrayLike
 
 _ARC_STEPS = 3
 
 
-def block(size: Sequence[float], rounding: float, *, lines: int = 11) -> trimesh.Trimesh:
+def block(size: ArrayLike, rounding: float, *, lines: int = 11) -> trimesh.Trimesh:
     """A block that stands on z = 0 about the axis x = y = 0, edges and corners rounded.
 
     Args:

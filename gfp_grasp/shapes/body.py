@@ -66,7 +66,7 @@ class Body:
     def half_width(self, x: ArrayLike, z: ArrayLike) -> np.ndarray:
         """Half-width m of the side at a place x and height z, m, without the rounding of its edges."""
         blurred = [np.interp(np.asarray(z) + d, *self.front.T) for d in np.linspace(-_SMOOTH_M, _SMOOTH_M, 7)]
-        return np.interp(x, *self.plan.T) * np.mean(blurred, axis=0)
+        return np.interp(np.asarray(x, dtype=np.float64), *self.plan.T) * np.mean(blurred, axis=0)
 
     def _stations(self) -> np.ndarray:
         """Places m of the sections: no curve between two of them is far from straight."""
@@ -102,7 +102,7 @@ class Body:
 
 
 def straight_body(
-    x: Range, half: float, z: Range, *, lean: Range = (0.01, 0.01), roof: float = 0.99, **rounding: float
+    x: Range, half: float, z: Range, lean: Range = (0.01, 0.01), roof: float = 0.99, **rounding: float
 ) -> Body:
     """A long box, as what lorries carry.
 

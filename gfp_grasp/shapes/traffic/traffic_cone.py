@@ -70,7 +70,7 @@ def _bands(rng: np.random.Generator, t: np.ndarray) -> np.ndarray:
     size = rng.uniform(0.001, 0.004)
     places = [rng.uniform(0.6, 0.75)] if rng.random() < 0.5 else [rng.uniform(0.35, 0.45), rng.uniform(0.65, 0.75)]
     half = rng.uniform(0.05, 0.11)
-    return size * sum(smoothstep((half - np.abs(t - place)) / 0.01) for place in places)
+    return size * np.sum([smoothstep((half - np.abs(t - place)) / 0.01) for place in places], axis=0)
 
 
 TRAFFIC_CONE = Family(

@@ -122,10 +122,11 @@ def _box(
     half, high = wide * rng.uniform(1.02, 1.18), rng.uniform(2.5, 3.1)
     floor = rng.uniform(clear + 0.1, 2 * tyre + 0.05)
     edges = {"round_top": rng.uniform(0.02, 0.08), "crown": rng.uniform(0.002, 0.03)}
-    box = straight_body((tail, end), half, (floor, high), roof=rng.uniform(0.96, 1.0), **edges).mesh()
+    roof = rng.uniform(0.96, 1.0)
+    box = straight_body((tail, end), half, (floor, high), (0.01, 0.01), roof, **edges).mesh()
     if rng.random() < 0.25:
         nose = end + rng.uniform(0.3, 0.9)
-        over = straight_body((end - 0.3, nose), 0.995 * half, (tall - 0.1, high - 0.005), lean=(0.01, 0.2), **edges)
+        over = straight_body((end - 0.3, nose), 0.995 * half, (tall - 0.1, high - 0.005), (0.01, 0.2), **edges)
         box = unite([box, over.mesh()])
     return box, half
 
