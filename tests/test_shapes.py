@@ -54,9 +54,8 @@ def test_the_same_seed_gives_the_same_shape_and_others_differ(family):
 def test_a_family_says_of_its_class_what_a_card_can_hold(family):
     known = get_family(family)
     for name in known.names:
-        spec = CategorySpec.from_dict(
-            {"category": name, "parent": family if "." in name else None, **known.spec_of(name)}
-        )
+        parent = family if "." in name else None
+        spec = CategorySpec.from_dict({"category": name, "parent": parent, **known.spec_of(name)})
         assert set(spec.alike) <= set(FAMILIES) - {family}
         assert "upright" in spec.rests
     assert {name for names in known.also.values() for name in names} <= set(FAMILIES) - {family}
@@ -184,13 +183,8 @@ def _thickness(mesh: trimesh.Trimesh) -> np.ndarray:
 
 
 def test_a_variant_has_what_its_class_says_and_its_own():
-    family = Family(
-        "urn",
-        lambda rng: Made(trimesh.Trimesh(), "plain"),
-        "household",
-        {"hollow": True, "alike": ("cup",)},
-        {"lidded": {"hollow": False}},
-    )
+    own, lidded = {"hollow": True, "alike": ("cup",)}, {"hollow": False}
+    family = Family("urn", lambda rng: Made(trimesh.Trimesh(), "plain"), "household", own, {"lidded": lidded})
     assert family.names == ("urn", "urn.lidded")
     assert family.spec_of("urn") == {"hollow": True, "alike": ("cup",)}
     assert family.spec_of("urn.lidded") == {"hollow": False, "share": pytest.approx(0.0821, abs=1e-4)}

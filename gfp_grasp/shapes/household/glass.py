@@ -46,7 +46,7 @@ def _side(rng: np.random.Generator, t: np.ndarray, kind: str) -> np.ndarray:
     """Relative radius (n,) over t in 0 .. 1, 1 where the glass is widest."""
     tapers = {"pint": rng.uniform(0.15, 0.38), "shot": rng.uniform(0.05, 0.35), "stemless": 0.0}
     other = float(rng.choice([rng.uniform(-0.03, 0.08), rng.uniform(0.05, 0.3)]))
-    taper = tapers[kind] if kind in tapers else other
+    taper = tapers.get(kind, other)
     curve = 1 + taper * (t ** rng.uniform(0.7, 1.6) - 1)
     if kind == "stemless":
         widest = rng.uniform(0.3, 0.5)
