@@ -294,7 +294,7 @@ def test_families_come_split_by_seed_and_take_turns():
 
 def test_what_cannot_be_loaded_is_said(tmp_path):
     with pytest.raises(InvalidOption, match="bottle"):
-        scenes.load_objects("teapot")
+        scenes.load_objects("boat")
     with pytest.raises(InvalidOption, match="train, val, test"):
         scenes.load_objects("cup", split="holdout")
     with pytest.raises(InvalidOption, match="at least 1"):

@@ -179,3 +179,13 @@ def _half_width(mesh: trimesh.Trimesh, height: float) -> float:
 def _heights(mesh: trimesh.Trimesh, at: tuple[float, float]) -> np.ndarray:
     """Rising heights m where a vertical line meets the mesh."""
     return np.sort(mesh.ray.intersects_location([[*at, -1.0]], [[0, 0, 1]])[0][:, 2])
+
+
+def test_a_tube_is_round_below_its_crimp() -> None:
+    for seed in range(4):
+        mesh = make_shape("tube", seed).mesh
+        heights = np.unique(mesh.vertices[:, 2].round(6))
+        height = heights[np.abs(heights - 0.3 * mesh.extents[2]).argmin()]
+        ring = mesh.vertices[np.abs(mesh.vertices[:, 2] - height) < 1e-6]
+        assert len(ring) == 56
+        assert np.degrees(np.diff(np.sort(np.arctan2(ring[:, 1], ring[:, 0])))).max() < 10, seed

@@ -102,6 +102,7 @@ def thinned(points: np.ndarray, *, tolerance: float, longest: float) -> np.ndarr
 _COINCIDENT = 2e-5
 _PROFILE_TOLERANCE = 7e-5
 _LONGEST_STEP = 0.009
+_FLAT = 0.25  # half-width over half-width of a ring that is squeezed flat
 
 
 def rows(
@@ -209,7 +210,9 @@ def _thin(rings: np.ndarray, longest_m: float) -> np.ndarray:
 
 def _angles(rings: np.ndarray, segments: int) -> np.ndarray:
     """Angles of a ring's vertices, evened out over the widest ring, whose ends and corners would else be coarse."""
-    widest = rings[rings[:, 0].argmax()]
+    flat = (rings[:, 1] < _FLAT * rings[:, 0]).any()
+    # Even over a flat end, as a tube's crimp is, vertices would crowd at the sides of the round rest.
+    widest = rings[(rings[:, 0] * rings[:, 1]).argmax() if flat else rings[:, 0].argmax()]
     dense = np.linspace(0, 2 * np.pi, 721)
     cos, sin = np.cos(dense), np.sin(dense)
     reach = ((np.abs(cos) / widest[0]) ** widest[3] + (np.abs(sin) / widest[1]) ** widest[3]) ** (-1 / widest[3])
