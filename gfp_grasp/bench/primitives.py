@@ -39,7 +39,7 @@ def bench_primitives(
         {"rows": {primitive: figures of its card}, "bytes": size of all primitives together,
         "fits": [{"mesh", "category", "primitive", "length_m", "error_mm", "error_percent"}]}. An error is the mean
         distance between the two surfaces, from each to the other and averaged; its percentage is that of the longest
-        extent. Of a class and its subcategories the best fit counts.
+        extent. The best fit among a class and its subcategories counts.
     """
     library = PrimitiveLibrary.shipped() if library is None else library
     sources = [source for folder in data for source in load_objects(folder) if source.category in library.categories]
