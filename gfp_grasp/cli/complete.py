@@ -200,7 +200,9 @@ def view(
     ] = None,
     objects: Annotated[
         str | None,
-        typer.Option(help="Instead: episodes with procedural families or all of them, a mesh file, or a folder."),
+        typer.Option(
+            help="Instead: episodes with procedural families, household, traffic or all; a mesh file; a folder."
+        ),
     ] = None,
     category: Annotated[str | None, typer.Option(help="Class of the object in the capture.")] = None,
     folders: Gps = None,

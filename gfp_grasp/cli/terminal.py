@@ -38,7 +38,9 @@ Ray = Annotated[str | None, typer.Option(help="Run on a Ray cluster: auto (this 
 Limit = Annotated[int | None, typer.Option(min=1, help="Most objects (of each family).")]
 Most = Annotated[int, typer.Option("--limit", min=1, help="Most objects (of each family).")]
 Split = Annotated[str, typer.Option(help="Split of the procedural families: train, val or test.")]
-Objects = Annotated[str, typer.Option(help="Procedural families with commas between or all, a mesh file, or a folder.")]
+Objects = Annotated[
+    str, typer.Option(help="Procedural families with commas between, household, traffic or all; a mesh file; a folder.")
+]
 Files = Annotated[bool, typer.Option("--files", help="Write the meshes of .xml to files beside it, not into itself.")]
 Gps = Annotated[
     list[Path] | None,

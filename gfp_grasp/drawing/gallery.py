@@ -20,7 +20,7 @@ _NUM_MODES = 3
 
 
 def draw_primitives(library: PrimitiveLibrary, path: Path) -> None:
-    """Write the mean of every class of a library as a PNG, each as large as its panel, with its name and longest side."""
+    """Write the means of all classes of a library as a PNG, each in a panel with its name and longest side."""
     panels = [
         _labelled(_mean(primitive), _title(primitive)) for primitive in map(library.primitive, library.categories)
     ]

@@ -97,7 +97,8 @@ class EnvConfig:
     """Keyword arguments of `GfpGraspEnv`; only str, int, float, bool and None, so that a spec goes through JSON.
 
     Attributes:
-        objects: Procedural families with commas between or "all", a mesh file, or a folder of meshes.
+        objects: Procedural families with commas between, "household", "traffic" or, for those whose classes ship,
+            "all"; a mesh file, or a folder of meshes.
         gps: Folders of primitives of the user's own, with a colon between (a semicolon on Windows); "" for none.
         completer: Name, see `gfp_grasp.completers.get_completer`.
         detector: Name, see `gfp_grasp.detect.get_detector`; objects of an episode stand apart, which needs no network.
