@@ -6,6 +6,8 @@ import trimesh
 
 from gfp_grasp.shapes import make_shape
 from gfp_grasp.shapes.blocks import block
+from gfp_grasp.shapes.handles import half_loop
+from gfp_grasp.shapes.lids import under_lid
 from gfp_grasp.shapes.shape import Shape
 from gfp_grasp.shapes.spouts import drawn_out
 
@@ -120,6 +122,22 @@ def test_a_block_has_the_volume_of_a_rounded_box():
     assert mesh.is_volume
     assert mesh.volume == pytest.approx(rounded, rel=0.002)
     np.testing.assert_allclose(mesh.bounds, [[-0.1, -0.05, 0.0], [0.1, 0.05, 0.06]], atol=1e-12)
+
+
+def test_half_a_superellipse_of_power_two_is_half_a_circle_and_more_power_is_squarer():
+    along, up = half_loop(2.0, 41)
+    np.testing.assert_allclose(along**2 + up**2, 1.0, atol=1e-12)
+    np.testing.assert_allclose([along[0], along[20], along[-1]], [-1.0, 0.0, 1.0], atol=1e-12)
+    square_along, square_up = half_loop(4.0, 41)
+    assert (np.hypot(square_along, square_up)[1:20] > 1.01).all()
+
+
+def test_a_cylinder_under_a_conical_lid_has_the_volume_of_both():
+    height = np.linspace(0.0, 0.1, 50)
+    cover = np.array([[0.04, 0.1], [1e-6, 0.13]])
+    mesh = under_lid(height, np.full(50, 0.04), cover, segments=128)
+    assert mesh.is_volume
+    assert mesh.volume == pytest.approx(np.pi * 0.04**2 * (0.1 + 0.03 / 3), rel=0.002)
 
 
 def test_a_drawn_out_rim_moves_at_minus_x_only_and_leaves_what_is_within():

@@ -6,20 +6,20 @@ import numpy as np
 import trimesh
 from numpy.typing import ArrayLike
 
-_ARC_STEPS = 3
+_ARC_STEPS = 3  # grid lines of a rounded edge, up to half of its turn
+_LINES = 11  # grid lines of a side between its rounded edges
 
 
-def block(size: ArrayLike, rounding: float, *, lines: int = 11) -> trimesh.Trimesh:
+def block(size: ArrayLike, rounding: float) -> trimesh.Trimesh:
     """A block that stands on z = 0 about the axis x = y = 0, edges and corners rounded.
 
     Args:
         size: (3,) m.
         rounding: Radius of edges and corners, m.
-        lines: Grid lines of each side between its rounded edges.
     """
     half = np.asarray(size, dtype=np.float64) / 2
     rounding = min(rounding, 0.49 * float(half.min()))
-    mesh = lattice(*(_lines(h, rounding, lines) for h in half))
+    mesh = lattice(*(_lines(h, rounding) for h in half))
     inner = np.clip(mesh.vertices, rounding - half, half - rounding)
     offset = mesh.vertices - inner
     length = np.linalg.norm(offset, axis=1, keepdims=True)
@@ -46,8 +46,8 @@ def lattice(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> trimesh.Trimesh:
     return trimesh.Trimesh(vertices, np.concatenate(faces), process=False)
 
 
-def _lines(half: float, rounding: float, count: int) -> np.ndarray:
+def _lines(half: float, rounding: float) -> np.ndarray:
     """Coordinates from -half to half, with those of even angles within the rounding."""
     arc = half - rounding + rounding * np.tan(np.linspace(0, np.pi / 4, _ARC_STEPS + 1))[1:]
-    middle = np.linspace(rounding - half, half - rounding, count)
+    middle = np.linspace(rounding - half, half - rounding, _LINES)
     return np.concatenate([-arc[::-1], middle, arc])

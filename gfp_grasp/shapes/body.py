@@ -37,10 +37,10 @@ class Body:
         upper: (n, 2) m, x and z of the upper edge as seen from the side, from the tail to the nose.
         lower: (m, 2) m, x and z of the lower edge, over the same x.
         plan: (k, 2) m, x and half-width as seen from above, over the same x.
-        belt: Height m of an edge that runs along the side, as below the windows; lower where there is less room.
         front: (l, 2), z (m) and half-width as a share of the plan's, as seen from the front.
+        belt: Height m of an edge that runs along the side, as below the windows; lower where there is less room.
         round_top: Rounding between side and top, m; less where there is less room.
-        round_bottom: The same below.
+        round_bottom: Rounding between side and floor, m; less where there is less room.
         crown: How much lower the top's edges are than its middle, m.
         longest: Two sections are at most so far apart, m.
     """
@@ -149,7 +149,7 @@ def on_wheels(
         gap: Between the tyres and the arches, m.
         depth: How deep the arches are, m, less than the wheels are wide.
         free: Wheels without arches, as beside a frame; the inner face of each lies within a body.
-        segments: Of a wheel.
+        segments: Vertices of a wheel's rings.
     """
     shell = unite(bodies) if len(bodies) > 1 else bodies[0]
     shell = subtract(shell, unite([wheel.arch(gap=gap, depth=depth) for wheel in wheels]))

@@ -15,8 +15,12 @@ import trimesh
 from gfp_grasp.shapes.loft import ring_faces
 from gfp_grasp.transforms import rotation_about
 
+SIDES = {"left": 1.0, "right": -1.0}  # the sign of y on each side
+
 _LEFT = np.array([0.0, 1.0, 0.0])
 _AHEAD = np.array([1.0, 0.0, 0.0])
+_AROUND_TYRE = 10  # vertices of a section of a tyre
+_STEP_M = 0.06  # rings of a pipe are at most so far apart, so that it can bend
 
 Bones = Mapping[str, Any]  # each a Bone or a Ring
 
@@ -44,7 +48,7 @@ class Bone:
 
     @property
     def length_m(self) -> float:
-        """From start to end."""
+        """Distance from start to end, m."""
         return float(np.linalg.norm(np.subtract(self.end, self.start)))
 
     def corners(self) -> np.ndarray:
@@ -78,26 +82,24 @@ class Ring:
     """A tyre around an axle along y, before it is bent; a bone like others.
 
     Attributes:
-        start: (3,) m, its middle.
-        radius_m: From there to the middle of the tyre.
+        start: Middle of the ring, (3,) m.
+        radius_m: Distance from there to the middle of the tyre.
         tyre_m: Half the tyre's thickness.
-        aspect: Half its width, in tyre_m.
     """
 
     start: np.ndarray
     radius_m: float
     tyre_m: float
-    aspect: float = 1.0
 
     def corners(self) -> np.ndarray:
         """(2, 3) m, opposite corners of a box that holds the ring."""
         outer = self.radius_m + self.tyre_m
-        return self.start + np.array([[-1.0], [1.0]]) * [outer, self.tyre_m * self.aspect, outer]
+        return self.start + np.array([[-1.0], [1.0]]) * [outer, self.tyre_m, outer]
 
     def nearness(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """How far points (n, 3) are from the middle of the tyre, m, and its thickness (n,) m there."""
         x, y, z = (points - self.start).T
-        return np.hypot(np.hypot(x, z) - self.radius_m, y / self.aspect), np.full(len(points), self.tyre_m)
+        return np.hypot(np.hypot(x, z) - self.radius_m, y), np.full(len(points), self.tyre_m)
 
     def moved(self, points: np.ndarray, R: np.ndarray, at: np.ndarray, *, radius_m: float, tyre_m: float) -> np.ndarray:
         """Maps (n, 3, 4) of points (n, 3) that make it a ring of other measures, turned by R, its middle at `at`."""
@@ -111,13 +113,13 @@ class Ring:
         middle = np.einsum("nij,nj->ni", M, self.start + self.radius_m * out)
         return np.concatenate([M, (at + radius_m * out @ R.T - middle)[:, :, None]], axis=2)
 
-    def mesh(self, *, segments: int = 10, around: int = 44) -> trimesh.Trimesh:
-        """The tyre as a closed mesh."""
-        turn, side = np.meshgrid(np.arange(around) / around, np.arange(segments) / segments, indexing="ij")
+    def mesh(self, *, around: int = 44) -> trimesh.Trimesh:
+        """The tyre as a closed mesh with `around` sections."""
+        turn, side = np.meshgrid(np.arange(around) / around, np.arange(_AROUND_TYRE) / _AROUND_TYRE, indexing="ij")
         turn, side = 2 * np.pi * turn, 2 * np.pi * side
         reach = self.radius_m + self.tyre_m * np.cos(side)
-        places = [reach * np.cos(turn), self.tyre_m * self.aspect * np.sin(side), reach * np.sin(turn)]
-        here = np.arange(around * segments).reshape(around, segments)
+        places = [reach * np.cos(turn), self.tyre_m * np.sin(side), reach * np.sin(turn)]
+        here = np.arange(around * _AROUND_TYRE).reshape(around, _AROUND_TYRE)
         ahead, up = np.roll(here, -1, axis=0), np.roll(here, -1, axis=1)
         both = np.roll(ahead, -1, axis=1)
         faces = np.concatenate([np.stack([here, ahead, both], 2), np.stack([here, both, up], 2)]).reshape(-1, 3)
@@ -127,7 +129,7 @@ class Ring:
         return mesh
 
 
-def pipe(bones: Sequence[Bone], *, segments: int = 8, step_m: float = 0.06) -> trimesh.Trimesh:
+def pipe(bones: Sequence[Bone], *, segments: int = 8) -> trimesh.Trimesh:
     """Closed tube along bones that follow each other, with flat ends and a ring in each joint, halving its angle."""
     ends = np.array([*(bone.start for bone in bones), bones[-1].end])
     ways = np.diff(ends, axis=0)
@@ -140,7 +142,7 @@ def pipe(bones: Sequence[Bone], *, segments: int = 8, step_m: float = 0.06) -> t
     for i, bone in enumerate(bones):
         if i > 0:
             section = section @ _turn(ways[i - 1], ways[i]).T
-        for t in np.linspace(0, 1, 2 + int(bone.length_m / step_m))[min(i, 1) :]:
+        for t in np.linspace(0, 1, 2 + int(bone.length_m / _STEP_M))[min(i, 1) :]:
             ring = (bone.radii[0] + t * (bone.radii[1] - bone.radii[0])) * section
             half = halves[i + 1] if t == 1 else halves[i] if t == 0 else ways[i]
             along = -(ring @ half) / (ways[i] @ half)  # slides the ring's vertices along the tube into its plane
@@ -162,6 +164,7 @@ def _turn(before: np.ndarray, after: np.ndarray) -> np.ndarray:
 
 
 def _frame(along: np.ndarray) -> np.ndarray:
+    """Columns (3, 3): a direction, the one across it that is nearest to +y (+x along y), and the third direction."""
     along = along / np.linalg.norm(along)
     reference = _LEFT if abs(along[1]) < 0.9 else _AHEAD
     across = reference - (reference @ along) * along

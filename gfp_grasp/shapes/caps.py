@@ -193,5 +193,5 @@ def _like(profile: np.ndarray, ring: np.ndarray, *, height: float | None = None)
 
 def _tube(
     path: np.ndarray, across: float | np.ndarray, along: float | np.ndarray, *, count: int = 24, power: float = 2.2
-):
+) -> trimesh.Trimesh:
     return sweep(even_path(path, count), np.broadcast_to(across, count), np.broadcast_to(along, count), power=power)

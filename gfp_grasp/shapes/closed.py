@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import trimesh
 
-from gfp_grasp.shapes.loft import rounded, rows, smoothstep
+from gfp_grasp.shapes.loft import rounded, rounded_off, rows, smoothstep
 from gfp_grasp.shapes.matched import cut, matched
 
 # Rings of the underside, the body, the shoulder, the groove, the lid's side, its top, the knob's side and its top.
@@ -29,11 +29,11 @@ class Closed:
         lid_tall: Height of the lid.
         lid_edge: Rounding of its upper edge.
         dome: Rise of its top from the edge to the knob.
-        knob: Half-width and height of the knob; every lid has one, if of almost nothing.
+        knob: Half-width and height of the knob; a lid without a knob has one of almost no size.
         aspect: Half-width of the body along y over that along x.
-        lid_aspect: The same of the lid.
+        lid_aspect: Half-width of the lid along y over that along x.
         power: Superellipse power of the body's section.
-        lid_power: The same of the lid's.
+        lid_power: Superellipse power of the lid's section.
         dent: Depth of the underside.
         segments: Vertices of a ring.
     """
@@ -64,8 +64,7 @@ class Closed:
         """Rings of the underside, the side and the shoulder."""
         radius, height = self.side.T
         edge = min(self.edge, 0.4 * float(radius.min()) * self.aspect)
-        missing = np.clip(1 - height / edge, 0, 1)
-        radius = radius - edge * (1 - np.sqrt(1 - missing**2))
+        radius = radius - rounded_off(height, edge, edge)
         side = rows(radius, height, aspect=self.aspect, power=self.power)
         stand = side[0, :2]
         under = [[1e-6, 1e-6, self.dent, 2.0], [*(0.8 * stand), 0.8 * self.dent, self.power]]

@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 import trimesh
 
-from gfp_grasp.shapes.bones import Bone, Bones, Ring, pipe
+from gfp_grasp.shapes.bones import SIDES, Bone, Bones, Ring, pipe
 from gfp_grasp.transforms import rotation_about
 
 # Each tube's ends, its radius at both, m, and its section across and in the third direction.
@@ -55,18 +55,18 @@ class Cycle:
         stay_m: From the rear axle to the bottom bracket.
         bottom_m: Height of the bottom bracket.
         seat_rad: Slope of the seat tube.
-        seat_tube_m: Its length.
+        seat_tube_m: Length of the seat tube.
         saddle_m: Height of the saddle.
-        saddle_long_m: Its length.
+        saddle_long_m: Length of the saddle.
         head_rad: Slope of the head tube.
-        head_m: Its length.
+        head_m: Length of the head tube.
         stem_m: How far the handlebar is ahead of and above the head tube.
         through: Where on the seat tube the top tube ends: 1 is its upper end, less lets riders step through.
         bend_m, grip_m, end_m: Where the left handlebar goes from its middle, each (3,).
         crank_m: Length of the cranks.
         crank_rad: How far the right pedal is above the horizon; it is ahead.
         steer_rad: How far the fork is turned to the left.
-        girth: Of the tubes.
+        girth: Thickness of the tubes over that of the first bicycle.
     """
 
     size: float = 1.0
@@ -118,7 +118,7 @@ class Cycle:
             "saddle_nose": saddle + np.array([0.53 * self.saddle_long_m, 0, 0.008]),
         }  # fmt: skip
         pedal = self.crank_m * np.array([np.cos(self.crank_rad), 0, np.sin(self.crank_rad)])
-        for name, side in (("left", 1.0), ("right", -1.0)):
+        for name, side in SIDES.items():
             out = np.array([0.0, side, 0.0])
             mirror = np.array([1.0, side, 1.0])
             sided = {
@@ -135,7 +135,7 @@ class Cycle:
             }  # fmt: skip
             joints |= {f"{name}_{joint}": place for joint, place in sided.items()}
         turn = self.steering()
-        for joint in ("bar", *(f"{s}_{j}" for s in ("left", "right") for j in _STEERED)):
+        for joint in ("bar", *(f"{s}_{j}" for s in SIDES for j in _STEERED)):
             joints[joint] = crown + turn @ (joints[joint] - crown)
         joints |= {"rear": rear, "front": crown + turn @ (front - crown)}
         return {name: self.size * place for name, place in joints.items()}
@@ -147,7 +147,7 @@ class Cycle:
         return float(np.arctan2(z, x))
 
     def eased(self, give: float) -> Cycle:
-        """The bicycle on its way to the first one, of the same size, where give is 1."""
+        """A bicycle between this one (give is 0) and the first one in the size of this one (give is 1)."""
         own, first = (np.hstack([getattr(cycle, f.name) for f in fields(self)[1:]]) for cycle in (self, FIRST))
         mixed = iter(own + give * (first - own))
         values = [
@@ -218,7 +218,7 @@ def _tubes(*, ridden: bool = False) -> dict[str, tuple]:
     tubes = {name: tube for name, tube in _TUBES.items() if not (ridden and name == "saddle")}
     return tubes | {
         f"{side}_{name}": (f"{side}_{start}", f"{side}_{end}", radii, (1.6, 0.5) if name == "pedal" else (1.0, 1.0))
-        for side in ("left", "right")
+        for side in SIDES
         for name, (start, end, radii) in sided.items()
     }
 

@@ -9,7 +9,8 @@ from typing import Literal
 import numpy as np
 import trimesh
 
-# A variant has to explain a view better than its class by this many standard deviations' worth: exp(-2.5) of its share.
+# Prior share of a variant, exp(-2.5): a view must speak for the variant by 2.5 in negative log odds before it wins over
+# its class.
 _SHARE_OF_VARIANT = 0.0820849986
 
 
@@ -67,3 +68,8 @@ class Family:
             return dict(self.spec)
         shared = {key: value for key, value in self.spec.items() if key in ("rests", "hollow", "density_kg_m3")}
         return {**shared, "share": _SHARE_OF_VARIANT, **self.variants[variant]}
+
+
+def draw_kind(rng: np.random.Generator, shares: Mapping[str, float]) -> str:
+    """One kind, drawn by the share of each kind among the members of a family; the shares sum to one."""
+    return str(rng.choice(list(shares), p=list(shares.values())))

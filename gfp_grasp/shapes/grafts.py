@@ -9,13 +9,13 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
-from gfp_grasp.shapes.handles import even_path
+from gfp_grasp.shapes.handles import even_path, half_loop
 from gfp_grasp.shapes.loft import ring_faces
 
 SEGMENTS = 72
 PATCH_ROWS = 3
 _PATCH_COLUMNS = 3
-_FIRST_COLUMN = 2  # of a patch, counted from the middle of the ear
+_FIRST_COLUMN = 2  # first column of a patch, counted from the middle of the ear
 _STEPS = 24
 
 
@@ -33,7 +33,7 @@ def with_ears(
     """A body with two level loops, towards +x and -x.
 
     Args:
-        body: As of `matched` with SEGMENTS, oval or round, wider along x.
+        body: Mesh of `matched` with SEGMENTS vertices in a ring, oval or round, wider along x.
         first_row: Ring below the ears; PATCH_ROWS rings above it is the ring above them.
         half: Half the distance between the two ends of an ear, m.
         reach: How far an ear stands out, m.
@@ -55,13 +55,12 @@ def with_ears(
     tubes, faces = [], [_body_faces(len(grid), first_row)]
     for side in (0, 1):
         tube = _tube(loop, along, across) * ([1, 1, 1] if side == 0 else [-1, -1, 1])
-        inner = (
-            len(vertices) + side * tube.shape[0] * tube.shape[1] + np.arange(tube[..., 0].size).reshape(tube.shape[:2])
-        )
+        count = tube.shape[0] * tube.shape[1]
+        inner = len(vertices) + side * count + np.arange(count).reshape(tube.shape[:2])
         ends = [_outline(first_row, side * SEGMENTS // 2, end) for end in (-1, 1)]
         faces.append(_between(np.concatenate([ends[:1], inner, ends[1:]])))
         tubes.append(tube.reshape(-1, 3))
-    # The vertices within the patches are nobody's.
+    # No face has the vertices within the patches.
     used, renumbered = np.unique(np.concatenate(faces), return_inverse=True)
     return trimesh.Trimesh(np.concatenate([vertices, *tubes])[used], renumbered.reshape(-1, 3), process=False)
 
@@ -78,10 +77,8 @@ def _columns(at: float, spread: float) -> np.ndarray:
 
 def _loop(root: float, bulge: float, half: float, height: float, reach: float, power: float, rise: float) -> np.ndarray:
     """Centre line (n, 3) m of the ear towards +x, from y = -half to y = half, without its ends."""
-    phi = np.linspace(0, np.pi, 81)
-    aside = -half * np.sign(np.cos(phi)) * np.abs(np.cos(phi)) ** (2 / power)
-    out = (reach + bulge) * np.sin(phi) ** (2 / power)
-    path = even_path(np.stack([out, aside], axis=1), _STEPS)[1:-1]
+    aside, out = half_loop(power, 81)
+    path = even_path(np.stack([(reach + bulge) * out, half * aside], axis=1), _STEPS)[1:-1]
     return np.stack([root + path[:, 0], path[:, 2], height + rise * path[:, 0]], axis=1)
 
 

@@ -7,10 +7,11 @@ from collections.abc import Callable
 import manifold3d
 import numpy as np
 import trimesh
-from scipy import sparse
 
-from gfp_grasp.meshes import vertex_normals
+from gfp_grasp.meshes import neighbour_average, vertex_normals
 from gfp_grasp.shapes.bones import Bones
+
+_EVENING_ROUNDS = 8
 
 
 def grown(bones: Bones, *, edge_m: float, fillet_m: float) -> trimesh.Trimesh:
@@ -18,7 +19,7 @@ def grown(bones: Bones, *, edge_m: float, fillet_m: float) -> trimesh.Trimesh:
 
     Args:
         bones: By name.
-        edge_m: Length of its edges.
+        edge_m: Length of the mesh's edges.
         fillet_m: Reach of the smooth union (negative log of the summed exp of distances).
     """
 
@@ -52,12 +53,10 @@ def _level(depth: Callable[[np.ndarray], np.ndarray], box: list[float], edge_m: 
 
 def _evened(vertices: np.ndarray, faces: np.ndarray, depth: Callable, edge_m: float) -> np.ndarray:
     """Vertices (v, 3) spread evenly over the zero level: each goes to the middle of its neighbours, and back to it."""
-    i, j = np.concatenate([faces[:, [0, 1]], faces[:, [1, 2]], faces[:, [2, 0]]]).T
-    near = sparse.csr_matrix((np.ones(len(i)), (i, j)), shape=(len(vertices), len(vertices)))
-    near = sparse.diags(1 / np.asarray(near.sum(axis=1)).ravel()) @ near
-    for _ in range(8):
+    mean = neighbour_average(faces, len(vertices))
+    for _ in range(_EVENING_ROUNDS):
         normals = vertex_normals(vertices, faces)
-        pull = near @ vertices - vertices
+        pull = mean @ vertices - vertices
         vertices = vertices + 0.6 * (pull - (pull * normals).sum(axis=1, keepdims=True) * normals)
         step = 0.05 * edge_m
         slope = (depth(vertices + step * normals) - depth(vertices - step * normals)) / (2 * step)

@@ -1,12 +1,13 @@
-"""Lids and their knobs, as profiles of revolution that go on where the body's profile ends."""
+"""Lids and their knobs, as profiles of revolution that go on where the body's profile ends; vessels under a lid."""
 
 from __future__ import annotations
 
 import numpy as np
+import trimesh
 
-from gfp_grasp.shapes.loft import rounded
+from gfp_grasp.shapes.loft import loft, rounded, rows
 
-KNOBS = ("ball", "disc", "post")
+_KNOBS = ("ball", "disc", "post")
 
 
 def lid(
@@ -16,8 +17,8 @@ def lid(
 
     Args:
         rng: Draws edges, the bend of the dome and the knob.
-        radius: The body's at its rim, m.
-        height: Of the rim, m.
+        radius: Radius of the body at its rim, m.
+        height: Height of the rim, m.
         dome: How much higher than its edge the lid's middle is, m.
         knob: Radius of the knob, m; 0 for none.
         over: How much wider than the body the lid is, m; negative where it is let into the mouth.
@@ -50,6 +51,19 @@ def sunk_lid(rng: np.random.Generator, radius: float, height: float) -> np.ndarr
     return rounded(corners, [0, 0, 0.002, 0.002, 0.002, 0.003, 0.003, 0])
 
 
+def under_lid(height: np.ndarray, radius: np.ndarray, cover: np.ndarray, *, segments: int) -> trimesh.Trimesh:
+    """A vessel and its lid as one solid.
+
+    Args:
+        height: (n,) m, rising from 0.
+        radius: (n,) m, that of the vessel at these heights.
+        cover: Profile (m, 2) of the lid, from the vessel's rim to the axis, m.
+        segments: Vertices of a ring.
+    """
+    rings = [rows([1e-6], [0.0]), rows(radius, height), rows(cover[:, 0], cover[:, 1])]
+    return loft(np.concatenate(rings), segments=segments)
+
+
 def _domed(rng: np.random.Generator, radius: float, height: float, dome: float, over: float) -> np.ndarray:
     """Profile of a lid from the body's rim to the axis."""
     edge = rng.uniform(0.0015, 0.006)
@@ -74,7 +88,7 @@ def _with_knob(rng: np.random.Generator, cover: np.ndarray, knob: float) -> tupl
 
 def _knob(rng: np.random.Generator, foot: float, head: float, height: float) -> np.ndarray:
     """Profile of a knob of radius `head` on a foot of radius `foot`, m, that stands at a height, m."""
-    kind = str(rng.choice(KNOBS))
+    kind = str(rng.choice(_KNOBS))
     neck = rng.uniform(0.002, 0.01)
     tall = head * {"ball": rng.uniform(1.5, 2.1), "disc": rng.uniform(0.4, 0.9), "post": rng.uniform(1.2, 2.6)}[kind]
     if kind == "ball":

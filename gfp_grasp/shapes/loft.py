@@ -29,6 +29,23 @@ def smoothstep(t: np.ndarray) -> np.ndarray:
     return t * t * (3 - 2 * t)
 
 
+def rounded_off(height: np.ndarray, reach: float, depth: float) -> np.ndarray:
+    """What a rounded bottom edge takes off a radius, (n,) m: a quarter of an ellipse.
+
+    Args:
+        height: (n,) m above the bottom.
+        reach: Height up to which the edge is rounded, m.
+        depth: What the edge takes off at the bottom, m.
+    """
+    missing = np.clip(1 - height / reach, 0, 1)
+    return depth * (1 - np.sqrt(1 - missing**2))
+
+
+def arc_length(curve: np.ndarray) -> np.ndarray:
+    """Length (n,) m of a polyline (n, d) m from its start to each of its points."""
+    return np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(curve, axis=0), axis=1))])
+
+
 def rounded(corners: np.ndarray | list, radii: np.ndarray | list, *, steps: int = 6) -> np.ndarray:
     """Polyline (n, 2) with its inner corners replaced by arcs.
 
@@ -246,7 +263,7 @@ def unite(
 
 
 def subtract(mesh: trimesh.Trimesh, other: trimesh.Trimesh) -> trimesh.Trimesh:
-    """What of a closed mesh is outside of another."""
+    """The part of a closed mesh that is outside another one."""
     return _mesh(_solid(mesh) - _solid(other))
 
 

@@ -12,7 +12,7 @@ import numpy as np
 import trimesh
 from numpy.typing import ArrayLike
 
-from gfp_grasp.shapes.loft import around
+from gfp_grasp.shapes.loft import arc_length, around
 
 # Share of the steps that crowds towards the ends of a piece, where edges are rounded.
 _CROWDED = 0.6
@@ -24,7 +24,7 @@ def matched(
     """Closed mesh through the pieces of a profile, from the axis to the axis.
 
     Args:
-        pieces: Rows (n, 4) as of `loft.rows`, each beginning where the one before ends, outside first.
+        pieces: Rows (n, 4) as `loft.rows` makes them, each beginning where the one before ends, outside first.
         counts: Rings of each piece; its last ring is the next piece's first and counts once.
         segments: Vertices of a ring.
         flutes: Number of waves around and their relative depth.
@@ -35,7 +35,7 @@ def matched(
 
 def stepped(curve: np.ndarray, count: int) -> np.ndarray:
     """The rows (n, 4) at `count` steps along their length, somewhat closer towards both ends."""
-    length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(curve[:, :3], axis=0), axis=1))])
+    length = arc_length(curve[:, :3])
     even = np.linspace(0, 1, count)
     at = ((1 - _CROWDED) * even + _CROWDED * (1 - np.cos(np.pi * even)) / 2) * length[-1]
     return np.stack([np.interp(at, length, column) for column in curve.T], axis=1)

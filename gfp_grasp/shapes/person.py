@@ -6,11 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gfp_grasp.shapes.bones import Bone
+from gfp_grasp.shapes.bones import SIDES, Bone
 from gfp_grasp.transforms import rotation_about
 
-SIDES = {"left": 1.0, "right": -1.0}
-HEIGHT_M = 1.75  # of the person before bending
+HEIGHT_M = 1.75  # height of the person before bending
 ARM_OUT_RAD = np.radians(35.0)  # arms stand off as far as this before bending
 
 HIP, KNEE, ANKLE = np.array([0.0, 0.09, 0.90]), np.array([0.01, 0.115, 0.49]), np.array([-0.015, 0.135, 0.085])
@@ -52,7 +51,7 @@ class Figure:
         legs, arms, trunk: Lengths of limbs and trunk.
         head: Size of the head.
         shoulders, hips, waist: Half-widths of the trunk across.
-        depth: The trunk's from front to back.
+        depth: Depth of the trunk from front to back.
         thighs, shins, sleeves: Girths of the limbs.
         shoes: Size of the feet.
         belly, bust, seat, back, hair: How far bulges stand out, m before scaling: of the belly, the chest, the
@@ -110,8 +109,8 @@ def draw_figure(rng: np.random.Generator, *, child: bool, coat: bool = False, pa
     )
 
 
-def bulged(vertices: np.ndarray, figure: Figure, share: float = 1.0) -> np.ndarray:
-    """The standing person's vertices (v, 3) m with the bulges that limbs do not carry."""
+def bulged(vertices: np.ndarray, figure: Figure, share: float) -> np.ndarray:
+    """The standing person's vertices (v, 3) m with a share of the bulges that limbs do not carry."""
     x, y, z = vertices.T
     trunk = np.exp(-((y / 0.17) ** 6))
     out = np.zeros(len(vertices))

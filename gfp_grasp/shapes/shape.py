@@ -24,6 +24,8 @@ _BY_NAME = {family.name: family for family in (*HOUSEHOLD_FAMILIES, *TRAFFIC_FAM
 FAMILIES = tuple(_BY_NAME)
 HOUSEHOLD = tuple(family.name for family in HOUSEHOLD_FAMILIES)
 TRAFFIC = tuple(family.name for family in TRAFFIC_FAMILIES)
+_OTHERS = "others"  # the split of every family that has none of its own in the file
+_MORE = 1000  # seeds from here on belong to no committed split and are for training
 
 
 def get_family(name: str) -> Family:
@@ -37,17 +39,13 @@ def get_family(name: str) -> Family:
     return _BY_NAME[name]
 
 
-_OTHERS = "others"  # the split of every family that has none of its own in the file
-_MORE = 1000  # seeds from here on belong to no committed split and are for training
-
-
 def split_seeds(family: str, split: str, count: int | None = None) -> tuple[int, ...]:
     """Seeds of one split of one family.
 
     Args:
         family: One of shapes.FAMILIES.
         split: "train", "val" or "test".
-        count: The first so many; None is the whole committed split. Of "train" there are as many as are asked for.
+        count: The first so many; None is the whole committed split. "train" has as many as are asked for.
 
     Raises:
         UnknownCategory: No such family.
@@ -81,7 +79,7 @@ class Shape:
             wider side of an oval body along x. Treat as read-only.
         kind: Variant within the family, e.g. "ear" for a mug's handle.
         wall_m: Thickness of the wall, m; 0 where the object is modelled as a solid.
-        seed: That made it.
+        seed: Seed that made the object.
     """
 
     name: str

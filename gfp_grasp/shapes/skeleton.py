@@ -22,6 +22,8 @@ _POWER = 7.0
 _MENDING_ROUNDS = 5
 # Mending goes on while it leaves less than this share of the crossings.
 _WORTH_MENDING = 0.8
+# A member gives way in so many steps, counting the first one, which gives nothing.
+_TRIES = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -109,9 +111,9 @@ def _through(maps: np.ndarray, points: np.ndarray) -> np.ndarray:
     return np.einsum("vij,vj->vi", maps[:, :, :3], points) + maps[:, :, 3]
 
 
-def first_clean(bend: Callable[[float], trimesh.Trimesh], *, tries: int = 6) -> trimesh.Trimesh:
+def first_clean(bend: Callable[[float], trimesh.Trimesh]) -> trimesh.Trimesh:
     """The first mesh without crossing faces as `bend` gives way, from 0 (as wanted) to 1 (as safe as can be)."""
-    for give in np.linspace(0, 1, tries):
+    for give in np.linspace(0, 1, _TRIES):
         mesh = bend(float(give))
         if mesh.volume > 0 and len(crossing_faces(mesh.vertices, mesh.faces)) == 0:
             break

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import trimesh
 
@@ -16,7 +18,7 @@ def spout(
     Args:
         rng: Draws the bend, from straight to the curve of an S.
         root: Distance from the axis towards -x and height of its beginning, m.
-        tip: The same for its end, m.
+        tip: Distance from the axis towards -x and height of its end, m.
         thick: Radius at the root, m.
         thin: Radius at the tip, m.
     """
@@ -28,13 +30,54 @@ def spout(
     return sweep(path, radius * rng.uniform(0.8, 1.0), radius, segments=24)
 
 
+@dataclass(frozen=True)
+class Beak:
+    """Ranges of the beaks or lips of one kind of vessel.
+
+    Attributes:
+        out: How far the rim moves out, over the radius of the rim.
+        below: How far below the rim the beak begins, over the height of the rim.
+        rise: How far the rim moves up, over how far it moves out.
+        width: Angle about the axis at which the beak has 1/e of its height, rad.
+        within: What is nearer to the axis than this, such as a lid, stays; over the radius of the rim.
+    """
+
+    out: tuple[float, float]
+    below: tuple[float, float]
+    rise: tuple[float, float]
+    width: tuple[float, float]
+    within: float = 0.0
+
+
+def beaked(rng: np.random.Generator, vertices: np.ndarray, top: float, rim: float, beak: Beak) -> np.ndarray:
+    """Vertices (v, 3) m of a vessel with a beak towards -x, drawn from the ranges of its kind.
+
+    Args:
+        rng: Draws the sizes of the beak.
+        vertices: (v, 3) m of a body about the axis x = y = 0.
+        top: Height of the rim, m.
+        rim: Radius of the rim, m.
+        beak: Ranges of the sizes.
+    """
+    out = rim * rng.uniform(*beak.out)
+    return drawn_out(
+        vertices,
+        top=top,
+        below=top * rng.uniform(*beak.below),
+        out=out,
+        rise=out * rng.uniform(*beak.rise),
+        width=rng.uniform(*beak.width),
+        within=beak.within * rim,
+    )
+
+
 def drawn_out(
-    vertices: np.ndarray, *, top: float, below: float, out: float, rise: float, width: float, within: float = 0.0
+    vertices: np.ndarray, *, top: float, below: float, out: float, rise: float, width: float, within: float
 ) -> np.ndarray:
     """Vertices (v, 3) m of a vessel whose rim is drawn out towards -x.
 
     Args:
-        vertices: Of a body about the axis x = y = 0.
+        vertices: (v, 3) m of a body about the axis x = y = 0.
         top: Height of the rim, m.
         below: How far below the rim the lip begins, m.
         out: How far the rim moves out, m.

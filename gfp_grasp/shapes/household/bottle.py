@@ -8,9 +8,9 @@ import numpy as np
 import trimesh
 
 from gfp_grasp.shapes import caps
-from gfp_grasp.shapes.family import Family, Made
-from gfp_grasp.shapes.handles import even_path
-from gfp_grasp.shapes.loft import inset, loft, rows, smooth_noise, smoothstep, sweep, unite
+from gfp_grasp.shapes.family import Family, Made, draw_kind
+from gfp_grasp.shapes.handles import even_path, half_loop
+from gfp_grasp.shapes.loft import inset, loft, rounded_off, rows, smooth_noise, smoothstep, sweep, unite
 
 _GRID = 200
 _KINDS = {
@@ -42,7 +42,7 @@ class Plan:
 
 def _make(rng: np.random.Generator) -> Made:
     """One bottle; a closed one is a solid, its wall is zero."""
-    kind = str(rng.choice(list(_KINDS), p=list(_KINDS.values())))
+    kind = draw_kind(rng, _KINDS)
     plan = _plan(rng, kind)
     mesh, wall = _assembled(rng, kind, plan)
     if kind not in ("cap_down", "open"):
@@ -128,7 +128,7 @@ def body_rings(rng: np.random.Generator, plan: Plan) -> np.ndarray:
     edge = min(
         float(rng.choice([rng.uniform(0.001, 0.004), rng.uniform(0.004, 0.014)])), 0.4 * float((radius * aspect).min())
     )
-    cut = edge * (1 - np.sqrt(1 - np.clip(1 - height / edge, 0, 1) ** 2))
+    cut = rounded_off(height, edge, edge)
     return np.stack([radius - cut, radius * aspect - cut, height, np.full(_GRID, plan.power)], axis=1)
 
 
@@ -210,13 +210,10 @@ def _jug_handle(rng: np.random.Generator, plan: Plan, rising: np.ndarray) -> tri
     along, across = rng.uniform(0.006, 0.011), rng.uniform(0.009, 0.014)
     low, high = plan.body * rng.uniform(0.35, 0.6), plan.body + rng.uniform(0.2, 0.7) * (plan.neck - plan.body)
     reach = rng.uniform(0.024, 0.034) + along
-    phi = np.linspace(0, np.pi, 50)
-    power = rng.uniform(2.0, 3.5)
-    x = reach * np.sin(phi) ** (2 / power)
-    up = -np.sign(np.cos(phi)) * np.abs(np.cos(phi)) ** (2 / power)
+    up, out = half_loop(rng.uniform(2.0, 3.5), 50)
     z = (low + high) / 2 + up * (high - low) / 2
     ends = np.interp([low, high], rising[:, 2], rising[:, 0])
-    x = x + np.interp(z, [low, high], ends)
+    x = reach * out + np.interp(z, [low, high], ends)
     plane = np.concatenate([[[0.4 * ends.min(), low]], np.stack([x, z], axis=1), [[0.4 * ends.min(), high]]])
     return sweep(even_path(plane, 40), np.full(40, across), np.full(40, along), power=2.5, segments=24)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gfp_grasp.shapes.family import Family, Made
+from gfp_grasp.shapes.family import Family, Made, draw_kind
 from gfp_grasp.shapes.loft import smooth_noise, smoothstep
 from gfp_grasp.shapes.vessel import Vessel
 
@@ -22,7 +22,7 @@ _DEPTH = {"soup": (0.35, 0.9), "mixing": (0.7, 1.2), "salad": (0.45, 1.05), "dip
 
 
 def _make(rng: np.random.Generator) -> Made:
-    kind = str(rng.choice(list(_KINDS), p=list(_KINDS.values())))
+    kind = draw_kind(rng, _KINDS)
     half = rng.uniform(*_HALF_M[kind])
     tall = half * rng.uniform(*_DEPTH.get(kind, (0.5, 1.05)))
     foot = rng.choice([0.001, rng.uniform(0.002, 0.009)])

@@ -6,7 +6,7 @@ import numpy as np
 import trimesh
 
 from gfp_grasp.shapes.blocks import block
-from gfp_grasp.shapes.family import Family, Made
+from gfp_grasp.shapes.family import Family, Made, draw_kind
 from gfp_grasp.shapes.loft import subtract, unite
 
 _KINDS = {"packet": 0.32, "shipping": 0.26, "book": 0.12, "tissue": 0.08, "soap": 0.1, "open": 0.12}
@@ -24,7 +24,7 @@ _THINNEST_M = 0.02
 
 def _make(rng: np.random.Generator) -> Made:
     """One box; a closed one is a solid, its wall is zero."""
-    kind = str(rng.choice(list(_KINDS), p=list(_KINDS.values())))
+    kind = draw_kind(rng, _KINDS)
     size, edge = _size(rng, kind)
     if kind == "open":
         wall = float(min(rng.uniform(0.0015, 0.006), 0.1 * size.min()))
@@ -35,7 +35,7 @@ def _make(rng: np.random.Generator) -> Made:
 
 
 def _size(rng: np.random.Generator, kind: str) -> tuple[np.ndarray, float]:
-    """Sides (3,) m with the wider one along x, on any of its sides; and the radius of the edges, m."""
+    """Sides (3,) m along x, y and z, x not shorter than y; and the radius of the edges, m."""
     long, middle, short, edge = _SIDES_M[kind]
     first = float(np.exp(rng.uniform(*np.log(long))))
     second = first * rng.uniform(*middle)

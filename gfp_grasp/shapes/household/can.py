@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gfp_grasp.shapes.family import Family, Made
+from gfp_grasp.shapes.family import Family, Made, draw_kind
 from gfp_grasp.shapes.loft import rounded, rows, smoothstep
 from gfp_grasp.shapes.matched import cut, matched
 
@@ -27,13 +27,13 @@ _SIZES = {
 
 
 def _make(rng: np.random.Generator) -> Made:
-    kind = str(rng.choice(list(_KINDS), p=list(_KINDS.values())))
+    kind = draw_kind(rng, _KINDS)
     half, tall = (rng.uniform(*span) for span in _SIZES[kind])
     bottom, top = _bottom(rng, kind, half), _top(rng, kind, half, tall)
     low, high = bottom[-1][1], top[0][1]
     t = np.linspace(0, 1, 120)
     body = np.column_stack([half - _ribs(rng, kind, t), low + (high - low) * t])
-    before, after = rounded(bottom, [0, *[0.0006] * (len(bottom) - 2), 0]), rounded(top, [0, *_soft(kind, half), 0])
+    before, after = rounded(bottom, [0, *[0.0006] * (len(bottom) - 2), 0]), rounded(top, [0, *_soft(kind), 0])
     pieces = [*cut(before, bottom[1:-1]), body, *cut(after, top[1:-1])]
     sardine = kind == "sardine"
     aspect, power = (rng.uniform(0.55, 0.8), rng.uniform(3.0, 5.0)) if sardine else (1.0, 2.0)
@@ -90,7 +90,7 @@ def _top(rng: np.random.Generator, kind: str, half: float, tall: float) -> np.nd
     ])  # fmt: skip
 
 
-def _soft(kind: str, half: float) -> list[float]:
+def _soft(kind: str) -> list[float]:
     """Rounding m of the inner corners of the top."""
     return [0.0006, 0.0005, 0.006 if kind == "spray" else 0.0004, 0.0004, 0.0006]
 

@@ -6,7 +6,7 @@ import numpy as np
 import trimesh
 
 from gfp_grasp.shapes.blocks import block, lattice
-from gfp_grasp.shapes.family import Family, Made
+from gfp_grasp.shapes.family import Family, Made, draw_kind
 from gfp_grasp.shapes.loft import loft, rounded, rows, smoothstep, unite
 from gfp_grasp.transforms import make_T, rotation_about
 
@@ -15,7 +15,7 @@ _KINDS = {"gable": 0.62, "brick": 0.28, "egg": 0.1}
 
 def _make(rng: np.random.Generator) -> Made:
     """One carton, closed and modelled as a solid."""
-    kind = str(rng.choice(list(_KINDS), p=list(_KINDS.values())))
+    kind = draw_kind(rng, _KINDS)
     parts = {"gable": _gable, "brick": _brick, "egg": _egg}[kind](rng)
     return Made(unite(parts) if len(parts) > 1 else parts[0], kind)
 

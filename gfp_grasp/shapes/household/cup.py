@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
-from gfp_grasp.shapes.family import Family, Made
-from gfp_grasp.shapes.loft import loft, rounded, rows, smooth_noise, smoothstep
+from gfp_grasp.shapes.family import Family, Made, draw_kind
+from gfp_grasp.shapes.lids import under_lid
+from gfp_grasp.shapes.loft import rounded, rounded_off, smooth_noise, smoothstep
 from gfp_grasp.shapes.vessel import Vessel
 
 GRID = 240
@@ -23,7 +24,7 @@ _KINDS = {
 
 def _make(rng: np.random.Generator) -> Made:
     """One cup; a lidded cup is a solid, its wall is zero."""
-    kind = str(rng.choice(list(_KINDS), p=list(_KINDS.values())))
+    kind = draw_kind(rng, _KINDS)
     if kind == "lidded":
         return Made(_lidded(rng), kind)
     vessel = _stemmed(rng) if kind == "stemmed" else _plain(rng, kind)
@@ -53,8 +54,7 @@ def base_rounding(rng: np.random.Generator, height: np.ndarray, radius: np.ndarr
     else:
         reach = rng.uniform(0.0008, 0.012)
         depth = min(reach, 0.35 * smallest)
-    missing = np.clip(1 - height / reach, 0, 1)
-    return depth * (1 - np.sqrt(1 - missing**2))
+    return rounded_off(height, reach, depth)
 
 
 def lip(rng: np.random.Generator, height: np.ndarray) -> np.ndarray:
@@ -133,8 +133,7 @@ def _lidded(rng: np.random.Generator) -> trimesh.Trimesh:
             [inner * 0.86, crest], [inner * 0.82, crest - sunk], [1e-6, crest - sunk],
         ]  # fmt: skip
         lid = rounded(corners, [0, 0.001, 0.002, 0.001, 0.002, 0.001, 0.001, 0])
-    rings = np.concatenate([rows([1e-6], [0.0]), rows(radius, height), rows(lid[:, 0], lid[:, 1])])
-    return loft(rings)
+    return under_lid(height, radius, lid, segments=48)
 
 
 CUP = Family(

@@ -6,8 +6,8 @@ import numpy as np
 import trimesh
 
 from gfp_grasp.shapes.closed import Closed, even_side
-from gfp_grasp.shapes.family import Family, Made
-from gfp_grasp.shapes.loft import smooth_noise, smoothstep
+from gfp_grasp.shapes.family import Family, Made, draw_kind
+from gfp_grasp.shapes.loft import rounded_off, smooth_noise, smoothstep
 from gfp_grasp.shapes.vessel import Vessel
 
 _GRID = 160
@@ -18,7 +18,7 @@ _SEGMENTS_OF_FLAT = 64
 
 def _make(rng: np.random.Generator) -> Made:
     """One flask; a closed one is a solid, its wall is zero."""
-    kind = str(rng.choice(list(_KINDS), p=list(_KINDS.values())))
+    kind = draw_kind(rng, _KINDS)
     if kind == "laboratory":
         return Made(*_laboratory(rng))
     return Made({"thermos": _thermos, "drinking": _drinking, "hip": _hip}[kind](rng), kind)
@@ -125,7 +125,7 @@ def _laboratory(rng: np.random.Generator) -> tuple[trimesh.Trimesh, str, float]:
     if rng.random() < 0.6:
         corner = rng.uniform(0.05, 0.22)
         cone = 1 - (1 - neck) * np.clip((up - corner) / (1 - corner), 0, 1)
-        body = cone - 0.3 * (1 - np.sqrt(1 - np.clip(1 - up / corner, 0, 1) ** 2))
+        body = cone - rounded_off(up, corner, 0.3)
     else:
         standing = rng.uniform(0.3, 0.6)
         depth = np.sqrt(1 - standing**2)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from gfp_grasp.shapes.family import Family, Made
-from gfp_grasp.shapes.loft import smooth_noise, smoothstep
+from gfp_grasp.shapes.family import Family, Made, draw_kind
+from gfp_grasp.shapes.loft import rounded_off, smooth_noise, smoothstep
 from gfp_grasp.shapes.vessel import Vessel
 
 _GRID = 240
@@ -14,7 +14,7 @@ _KINDS = {"tumbler": 0.3, "highball": 0.2, "pint": 0.16, "shot": 0.1, "whisky": 
 
 
 def _make(rng: np.random.Generator) -> Made:
-    kind = str(rng.choice(list(_KINDS), p=list(_KINDS.values())))
+    kind = draw_kind(rng, _KINDS)
     tall, half = _size(rng, kind)
     height = np.linspace(0, tall, _GRID)
     radius = half * _side(rng, height / tall, kind)
@@ -71,7 +71,7 @@ def _base_edge(rng: np.random.Generator, height: np.ndarray, radius: np.ndarray,
     else:
         reach = rng.uniform(0.0008, 0.008 if rng.random() < 0.7 else 0.02)
         depth = min(reach, 0.3 * float(radius.min()))
-    return depth * (1 - np.sqrt(1 - np.clip(1 - height / reach, 0, 1) ** 2))
+    return rounded_off(height, reach, depth)
 
 
 def _floor(rng: np.random.Generator, kind: str, tall: float, wall: float, dent: float) -> float:

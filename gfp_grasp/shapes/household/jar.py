@@ -6,8 +6,8 @@ import numpy as np
 import trimesh
 
 from gfp_grasp.shapes.closed import Closed, even_side
-from gfp_grasp.shapes.family import Family, Made
-from gfp_grasp.shapes.loft import smooth_noise, smoothstep
+from gfp_grasp.shapes.family import Family, Made, draw_kind
+from gfp_grasp.shapes.loft import rounded_off, smooth_noise, smoothstep
 from gfp_grasp.shapes.vessel import Vessel
 
 _GRID = 160
@@ -26,7 +26,7 @@ _SIZES = {
 
 def _make(rng: np.random.Generator) -> Made:
     """One jar; a closed one is a solid, its wall is zero."""
-    kind = str(rng.choice(list(_KINDS), p=list(_KINDS.values())))
+    kind = draw_kind(rng, _KINDS)
     tall, slender = _SIZES[kind]
     tall = rng.uniform(*tall)
     half = float(np.clip(tall * rng.uniform(*slender), 0.016, 0.1))
@@ -102,7 +102,7 @@ def _open(rng: np.random.Generator, tall: float, half: float) -> tuple[trimesh.T
     flare = rng.choice([0.0, rng.uniform(0.05, 0.25)])
     side = side + flare * smoothstep((t - 0.5 * (start + 1)) / (0.5 * (1 - start)))
     edge = min(rng.uniform(0.001, 0.02), 0.3 * half)
-    radius = half * side - edge * (1 - np.sqrt(1 - np.clip(1 - height / edge, 0, 1) ** 2))
+    radius = half * side - rounded_off(height, edge, edge)
     from_top = tall - height
     bead = rng.uniform(0.0004, 0.002) * np.exp(-(((from_top - rng.uniform(0.002, 0.012)) / 0.0018) ** 2))
     wall = float(rng.uniform(0.0018, 0.004) if tall < 0.15 else rng.uniform(0.003, 0.008))

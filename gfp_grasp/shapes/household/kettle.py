@@ -5,20 +5,21 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
-from gfp_grasp.shapes.family import Family, Made
+from gfp_grasp.shapes.family import Family, Made, draw_kind
 from gfp_grasp.shapes.handles import bail, even_path, loop_handle
-from gfp_grasp.shapes.lids import lid, sunk_lid
-from gfp_grasp.shapes.loft import loft, rounded, rows, smooth_noise, smoothstep, sweep, unite
-from gfp_grasp.shapes.spouts import drawn_out, spout
+from gfp_grasp.shapes.lids import lid, sunk_lid, under_lid
+from gfp_grasp.shapes.loft import rounded, smooth_noise, smoothstep, sweep, unite
+from gfp_grasp.shapes.spouts import Beak, beaked, spout
 
 _GRID = 160
 _KINDS = {"stove": 0.66, "electric": 0.18, "moka": 0.16}
 _SEGMENTS = 64
+_BEAK = Beak(out=(0.25, 0.6), below=(0.12, 0.35), rise=(0.0, 0.3), width=(0.28, 0.5), within=0.9)
 
 
 def _make(rng: np.random.Generator) -> Made:
     """One kettle, closed and modelled as a solid."""
-    kind = str(rng.choice(list(_KINDS), p=list(_KINDS.values())))
+    kind = draw_kind(rng, _KINDS)
     return Made(unite({"stove": _stove, "electric": _electric, "moka": _moka}[kind](rng)), kind)
 
 
@@ -49,7 +50,7 @@ def _stove(rng: np.random.Generator) -> list[trimesh.Trimesh]:
         along=rng.uniform(0.0035, 0.008),
         across=rng.uniform(0.007, 0.0135),
     )
-    return [_turned(height, radius, cover), pour, arch]
+    return [under_lid(height, radius, cover, segments=_SEGMENTS), pour, arch]
 
 
 def _electric(rng: np.random.Generator) -> list[trimesh.Trimesh]:
@@ -69,8 +70,8 @@ def _electric(rng: np.random.Generator) -> list[trimesh.Trimesh]:
     else:
         knob = rng.choice([0.0, rng.uniform(0.008, 0.014)])
         cover = lid(rng, rim, tall, dome=rng.uniform(0.004, 0.03), knob=knob, over=-rng.uniform(0.001, 0.006))
-    body = _turned(height, radius, cover)
-    body.vertices = _beaked(rng, np.asarray(body.vertices), tall, rim)
+    body = under_lid(height, radius, cover, segments=_SEGMENTS)
+    body.vertices = beaked(rng, np.asarray(body.vertices), tall, rim, _BEAK)
     along, across = rng.uniform(0.007, 0.013), rng.uniform(0.01, 0.018)
     heights = np.array([tall * rng.uniform(0.12, 0.35), tall * rng.uniform(0.8, 0.96) - along])
     shape = str(rng.choice(["d", "ear", "square"], p=[0.4, 0.3, 0.3]))
@@ -95,28 +96,10 @@ def _moka(rng: np.random.Generator) -> list[trimesh.Trimesh]:
     knob = rim * rng.uniform(0.13, 0.22)
     cover = lid(rng, rim, tall, dome=rim * rng.uniform(0.08, 0.35), knob=knob, over=-rim * rng.uniform(0.01, 0.05))
     facets = int(rng.choice([8, 10, 12], p=[0.75, 0.15, 0.1])) if rng.random() < 0.85 else 0
-    body = _turned(height, radius, cover, segments=6 * facets if facets else 48)
+    body = under_lid(height, radius, cover, segments=6 * facets if facets else 48)
     vertices = _faceted(np.asarray(body.vertices), facets, 1.4 * knob) if facets else np.asarray(body.vertices)
-    body.vertices = _beaked(rng, vertices, tall, rim)
+    body.vertices = beaked(rng, vertices, tall, rim, _BEAK)
     return [body, _hanging_handle(rng, rim, tall, half)]
-
-
-def _turned(height: np.ndarray, radius: np.ndarray, cover: np.ndarray, *, segments: int = _SEGMENTS) -> trimesh.Trimesh:
-    rings = [rows([1e-6], height[:1]), rows(radius, height), rows(cover[:, 0], cover[:, 1])]
-    return loft(np.concatenate(rings), segments=segments)
-
-
-def _beaked(rng: np.random.Generator, vertices: np.ndarray, tall: float, rim: float) -> np.ndarray:
-    out = rim * rng.uniform(0.25, 0.6)
-    return drawn_out(
-        vertices,
-        top=tall,
-        below=tall * rng.uniform(0.12, 0.35),
-        out=out,
-        rise=out * rng.uniform(0.0, 0.3),
-        width=rng.uniform(0.28, 0.5),
-        within=0.9 * rim,
-    )
 
 
 def _faceted(vertices: np.ndarray, facets: int, within: float) -> np.ndarray:

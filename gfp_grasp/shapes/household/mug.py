@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
-from gfp_grasp.shapes.family import Family, Made
+from gfp_grasp.shapes.family import Family, Made, draw_kind
 from gfp_grasp.shapes.handles import loop_handle
 from gfp_grasp.shapes.household.cup import GRID, base_rounding, lip, side
 from gfp_grasp.shapes.loft import subtract, unite
@@ -17,7 +17,7 @@ _BODIES = {"straight": 0.45, "tapered": 0.2, "bulged": 0.25, "square": 0.1}
 
 def _make(rng: np.random.Generator) -> Made:
     """One mug; its kind is that of its handle."""
-    kind = str(rng.choice(list(_HANDLES), p=list(_HANDLES.values())))
+    kind = draw_kind(rng, _HANDLES)
     vessel = _body(rng)
     # Cut off half way into the wall, the handle can neither poke into the cavity nor lie flush with a surface.
     handle = subtract(_handle(rng, vessel, kind), vessel.core(0.5))
@@ -25,7 +25,7 @@ def _make(rng: np.random.Generator) -> Made:
 
 
 def _body(rng: np.random.Generator) -> Vessel:
-    kind = str(rng.choice(list(_BODIES), p=list(_BODIES.values())))
+    kind = draw_kind(rng, _BODIES)
     tall = rng.uniform(0.07, 0.128)
     half = np.clip(tall * rng.uniform(0.32, 0.62), 0.03, 0.053)
     height = np.linspace(0, tall, GRID)

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from gfp_grasp.shapes.family import Family, Made
+from gfp_grasp.shapes.family import Family, Made, draw_kind
 from gfp_grasp.shapes.handles import long_handle
 from gfp_grasp.shapes.household.cup import GRID, lip
-from gfp_grasp.shapes.loft import subtract, unite
+from gfp_grasp.shapes.loft import rounded_off, subtract, unite
 from gfp_grasp.shapes.vessel import Vessel
 
 _KINDS = {"frying": 0.52, "skillet": 0.2, "wok": 0.15, "grill": 0.13}
@@ -15,7 +15,7 @@ _KINDS = {"frying": 0.52, "skillet": 0.2, "wok": 0.15, "grill": 0.13}
 
 def _make(rng: np.random.Generator) -> Made:
     """One pan; a hole for hanging at the end of the handle is left out, so that all have one topology."""
-    kind = str(rng.choice(list(_KINDS), p=list(_KINDS.values())))
+    kind = draw_kind(rng, _KINDS)
     vessel = _vessel(rng, kind)
     tall = float(vessel.height[-1])
     along = rng.uniform(0.004, 0.0085)
@@ -48,7 +48,7 @@ def _vessel(rng: np.random.Generator, kind: str) -> Vessel:
     if kind == "frying" and rng.random() < 0.4:
         radius = radius + half * rng.uniform(0.01, 0.05) * t**4
     edge = min(rng.uniform(0.002, 0.012), 0.3 * tall)
-    radius = radius - edge * (1 - np.sqrt(1 - np.clip(1 - height / edge, 0, 1) ** 2))
+    radius = radius - rounded_off(height, edge, edge)
     wall = rng.uniform(0.003, 0.006) if kind in ("skillet", "grill") else rng.uniform(0.0012, 0.0042)
     extra = lip(rng, height) if rng.random() < 0.35 else 0.0
     power = rng.uniform(4.0, 8.0) if kind == "grill" else 2.0

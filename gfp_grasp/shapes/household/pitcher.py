@@ -2,24 +2,28 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import trimesh
 
-from gfp_grasp.shapes.family import Family, Made
+from gfp_grasp.shapes.family import Family, Made, draw_kind
 from gfp_grasp.shapes.handles import loop_handle
 from gfp_grasp.shapes.household.cup import GRID, base_rounding, lip
-from gfp_grasp.shapes.lids import lid, sunk_lid
-from gfp_grasp.shapes.loft import loft, rows, smooth_noise, smoothstep, subtract, unite
-from gfp_grasp.shapes.spouts import drawn_out
+from gfp_grasp.shapes.lids import lid, sunk_lid, under_lid
+from gfp_grasp.shapes.loft import smooth_noise, smoothstep, subtract, unite
+from gfp_grasp.shapes.spouts import Beak, beaked
 from gfp_grasp.shapes.vessel import Vessel
 
 _KINDS = {"straight": 0.38, "bellied": 0.24, "waisted": 0.12, "lidded": 0.26}
 _SEGMENTS = 56
+_LIP = Beak(out=(0.08, 0.4), below=(0.1, 0.3), rise=(-0.1, 0.5), width=(0.35, 0.6))
+_LIP_UNDER_LID = replace(_LIP, rise=(0.0, 0.0), within=0.8)
 
 
 def _make(rng: np.random.Generator) -> Made:
     """One pitcher; a lidded one is a solid, its wall is zero."""
-    kind = str(rng.choice(list(_KINDS), p=list(_KINDS.values())))
+    kind = draw_kind(rng, _KINDS)
     height, radius = _side(rng, kind)
     handle = _handle(rng, height, radius)
     if kind == "lidded":
@@ -27,7 +31,7 @@ def _make(rng: np.random.Generator) -> Made:
         return Made(unite([body, handle]), kind)
     vessel = _open(rng, height, radius)
     body = vessel.mesh()
-    body.vertices = _poured(rng, np.asarray(body.vertices), float(height[-1]), float(radius[-1]))
+    body.vertices = beaked(rng, np.asarray(body.vertices), float(height[-1]), float(radius[-1]), _LIP)
     return Made(unite([body, subtract(handle, vessel.core(0.5))]), kind, vessel.wall)
 
 
@@ -69,27 +73,9 @@ def _lidded(rng: np.random.Generator, height: np.ndarray, radius: np.ndarray) ->
     else:
         knob = rng.choice([0.0, rng.uniform(0.008, 0.016)])
         cover = lid(rng, rim, top, dome=rng.uniform(0.003, 0.025), knob=knob, over=rng.uniform(-0.006, 0.002))
-    body = loft(
-        np.concatenate([rows([1e-6], [0.0]), rows(radius, height), rows(cover[:, 0], cover[:, 1])]), segments=_SEGMENTS
-    )
-    body.vertices = _poured(rng, np.asarray(body.vertices), top, rim, within=0.8 * rim)
+    body = under_lid(height, radius, cover, segments=_SEGMENTS)
+    body.vertices = beaked(rng, np.asarray(body.vertices), top, rim, _LIP_UNDER_LID)
     return body
-
-
-def _poured(
-    rng: np.random.Generator, vertices: np.ndarray, top: float, rim: float, *, within: float = 0.0
-) -> np.ndarray:
-    """The body's vertices with the lip drawn out."""
-    out = rim * rng.uniform(0.08, 0.4)
-    return drawn_out(
-        vertices,
-        top=top,
-        below=top * rng.uniform(0.1, 0.3),
-        out=out,
-        rise=out * rng.uniform(-0.1, 0.5) * (within == 0),
-        width=rng.uniform(0.35, 0.6),
-        within=within,
-    )
 
 
 def _handle(rng: np.random.Generator, height: np.ndarray, radius: np.ndarray) -> trimesh.Trimesh:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gfp_grasp.shapes.family import Family, Made
+from gfp_grasp.shapes.family import Family, Made, draw_kind
 from gfp_grasp.shapes.loft import inset, rounded, rows, smoothstep
 from gfp_grasp.shapes.matched import cut, matched
 
@@ -21,7 +21,7 @@ _HALF_M = {
 
 def _make(rng: np.random.Generator) -> Made:
     """One plate; its wall is the thickness of the body."""
-    kind = str(rng.choice(list(_KINDS), p=list(_KINDS.values())))
+    kind = draw_kind(rng, _KINDS)
     half = rng.uniform(*_HALF_M[kind])
     wall = float(np.exp(rng.uniform(np.log(0.0018), np.log(0.0065)))) * min(1.0, half / 0.09)
     well, upper = _upper(rng, kind, half)

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
-from gfp_grasp.shapes.family import Family, Made
+from gfp_grasp.shapes.family import Family, Made, draw_kind
 from gfp_grasp.shapes.grafts import PATCH_ROWS, SEGMENTS, with_ears
 from gfp_grasp.shapes.handles import long_handle
 from gfp_grasp.shapes.household.cup import GRID, lip
 from gfp_grasp.shapes.lids import knobbed
-from gfp_grasp.shapes.loft import rows, subtract, unite
+from gfp_grasp.shapes.loft import rounded_off, rows, subtract, unite
 from gfp_grasp.shapes.matched import matched
 from gfp_grasp.shapes.vessel import Vessel
 
@@ -25,7 +25,7 @@ _BELOW_RIM_M = 0.004
 
 def _make(rng: np.random.Generator) -> Made:
     """One pot; a lidded one is a solid, its wall is zero."""
-    kind = str(rng.choice(list(_KINDS), p=list(_KINDS.values())))
+    kind = draw_kind(rng, _KINDS)
     height, radius = _side(rng, kind)
     if kind == "saucepan":
         vessel = _open(rng, height, radius, 1.0)
@@ -55,7 +55,7 @@ def _side(rng: np.random.Generator, kind: str) -> tuple[np.ndarray, np.ndarray]:
     curve = 1 + rng.choice([0.0, rng.uniform(0.0, 0.18)]) * (t - 1)
     curve = curve + rng.choice([0.0, rng.uniform(0.01, 0.09)], p=[0.65, 0.35]) * np.sin(np.pi * t)
     edge = min(rng.uniform(0.002, 0.03), 0.35 * float(height[-1]))
-    return height, half * curve / curve.max() - edge * (1 - np.sqrt(1 - np.clip(1 - height / edge, 0, 1) ** 2))
+    return height, half * curve / curve.max() - rounded_off(height, edge, edge)
 
 
 def _open(rng: np.random.Generator, height: np.ndarray, radius: np.ndarray, aspect: float) -> Vessel:

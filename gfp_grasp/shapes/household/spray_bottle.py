@@ -6,7 +6,7 @@ import numpy as np
 import trimesh
 
 from gfp_grasp.shapes.caps import trigger_head
-from gfp_grasp.shapes.family import Family, Made
+from gfp_grasp.shapes.family import Family, Made, draw_kind
 from gfp_grasp.shapes.household.bottle import Plan, body_rings, foot_rings, shoulder_rings
 from gfp_grasp.shapes.loft import loft, unite
 
@@ -17,7 +17,7 @@ _SHOULDERS = {"conical": (0.3, 0.6), "shouldered": (0.06, 0.25), "oval": (0.1, 0
 
 def _make(rng: np.random.Generator) -> Made:
     """One sprayer, closed and modelled as a solid; its kind is that of its body."""
-    kind = str(rng.choice(list(_KINDS), p=list(_KINDS.values())))
+    kind = draw_kind(rng, _KINDS)
     plan = _plan(rng, kind)
     body = body_rings(rng, plan)
     rising = np.concatenate([body, shoulder_rings(rng, plan, body[-1])])

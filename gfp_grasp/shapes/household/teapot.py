@@ -5,20 +5,21 @@ from __future__ import annotations
 import numpy as np
 import trimesh
 
-from gfp_grasp.shapes.family import Family, Made
+from gfp_grasp.shapes.family import Family, Made, draw_kind
 from gfp_grasp.shapes.handles import loop_handle
-from gfp_grasp.shapes.lids import lid
-from gfp_grasp.shapes.loft import loft, rows, smooth_noise, smoothstep, unite
-from gfp_grasp.shapes.spouts import drawn_out, spout
+from gfp_grasp.shapes.lids import lid, under_lid
+from gfp_grasp.shapes.loft import rounded_off, smooth_noise, smoothstep, unite
+from gfp_grasp.shapes.spouts import Beak, beaked, spout
 
 _GRID = 160
 _KINDS = {"round": 0.5, "tall": 0.22, "beak": 0.28}
 _SEGMENTS = 64
+_BEAK = Beak(out=(0.2, 0.55), below=(0.12, 0.4), rise=(0.0, 0.35), width=(0.3, 0.5), within=0.88)
 
 
 def _make(rng: np.random.Generator) -> Made:
     """One teapot, closed and modelled as a solid; its kind is that of its body or its beak."""
-    kind = str(rng.choice(list(_KINDS), p=list(_KINDS.values())))
+    kind = draw_kind(rng, _KINDS)
     height, radius = _side(rng, kind)
     rim = float(radius[-1])
     cover = lid(
@@ -29,12 +30,10 @@ def _make(rng: np.random.Generator) -> Made:
         knob=float(np.clip(rim * rng.uniform(0.15, 0.32), 0.006, 0.019)),
         over=-rim * rng.uniform(0.02, 0.12) if kind == "beak" else rim * rng.uniform(-0.1, 0.06),
     )
-    body = loft(
-        np.concatenate([rows([1e-6], [0.0]), rows(radius, height), rows(cover[:, 0], cover[:, 1])]), segments=_SEGMENTS
-    )
-    handle = _handle(rng, height, radius, kind)
+    body = under_lid(height, radius, cover, segments=_SEGMENTS)
+    handle = _handle(rng, height, radius)
     if kind == "beak":
-        body.vertices = _beaked(rng, np.asarray(body.vertices), float(height[-1]), rim)
+        body.vertices = beaked(rng, np.asarray(body.vertices), float(height[-1]), rim, _BEAK)
         return Made(unite([body, handle]), kind)
     return Made(unite([body, handle, _spout(rng, height, radius)]), kind)
 
@@ -58,7 +57,7 @@ def _side(rng: np.random.Generator, kind: str) -> tuple[np.ndarray, np.ndarray]:
     curve = curve + smooth_noise(rng, t, amplitude=rng.choice([0.0, 0.01, 0.02]), knots=5)
     radius = half * curve / curve.max()
     edge = rng.uniform(0.001, 0.012)
-    return height, radius - edge * (1 - np.sqrt(1 - np.clip(1 - height / edge, 0, 1) ** 2))
+    return height, radius - rounded_off(height, edge, edge)
 
 
 def _spout(rng: np.random.Generator, height: np.ndarray, radius: np.ndarray) -> trimesh.Trimesh:
@@ -71,20 +70,7 @@ def _spout(rng: np.random.Generator, height: np.ndarray, radius: np.ndarray) -> 
     return spout(rng, (0.55 * side, low), tip, thick=thick, thin=rng.uniform(0.005, 0.009))
 
 
-def _beaked(rng: np.random.Generator, vertices: np.ndarray, top: float, rim: float) -> np.ndarray:
-    out = rim * rng.uniform(0.2, 0.55)
-    return drawn_out(
-        vertices,
-        top=top,
-        below=top * rng.uniform(0.12, 0.4),
-        out=out,
-        rise=out * rng.uniform(0.0, 0.35),
-        width=rng.uniform(0.3, 0.5),
-        within=0.88 * rim,
-    )
-
-
-def _handle(rng: np.random.Generator, height: np.ndarray, radius: np.ndarray, kind: str) -> trimesh.Trimesh:
+def _handle(rng: np.random.Generator, height: np.ndarray, radius: np.ndarray) -> trimesh.Trimesh:
     tall = float(height[-1])
     along = rng.uniform(0.004, 0.0085)
     across = float(np.clip(along * rng.uniform(0.9, 2.0), 0.005, 0.014))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gfp_grasp.shapes.family import Family, Made
+from gfp_grasp.shapes.family import Family, Made, draw_kind
 from gfp_grasp.shapes.loft import rounded, rows, smooth_noise
 from gfp_grasp.shapes.matched import cut, matched
 
@@ -22,7 +22,7 @@ _SIZES = {
 
 
 def _make(rng: np.random.Generator) -> Made:
-    kind = str(rng.choice(list(_KINDS), p=list(_KINDS.values())))
+    kind = draw_kind(rng, _KINDS)
     half, tall = (rng.uniform(*span) for span in _SIZES[kind])
     cap = _cap(rng, kind, half)
     body = _body(rng, half, tall, float(cap[-1][-1, 1]))

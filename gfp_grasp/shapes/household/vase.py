@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.interpolate import PchipInterpolator
 
-from gfp_grasp.shapes.family import Family, Made
+from gfp_grasp.shapes.family import Family, Made, draw_kind
 from gfp_grasp.shapes.loft import smooth_noise, smoothstep
 from gfp_grasp.shapes.vessel import Vessel
 
@@ -16,7 +16,7 @@ _KINDS = {"cylinder": 0.16, "trumpet": 0.16, "cone": 0.12, "baluster": 0.22, "gl
 
 
 def _make(rng: np.random.Generator) -> Made:
-    kind = str(rng.choice(list(_KINDS), p=list(_KINDS.values())))
+    kind = draw_kind(rng, _KINDS)
     tall = rng.uniform(0.09, 0.35)
     slender = {"globe": (0.32, 0.52), "narrow": (0.16, 0.36)}.get(kind, (0.15, 0.4))
     half = float(np.clip(tall * rng.uniform(*slender), 0.028, 0.125))
@@ -53,8 +53,8 @@ def _side(rng: np.random.Generator, t: np.ndarray, kind: str) -> np.ndarray:
         ),
         "globe": lambda: ([0, u(0.38, 0.55), u(0.85, 0.95), 1], [u(0.35, 0.65), 1, u(0.4, 0.75), u(0.4, 0.85)]),
         "narrow": lambda: (
-            [0, (belly := u(0.2, 0.4)), (neck := u(0.5, 0.8)), (neck + 1) / 2, 1],
-            [u(0.3, 0.75), 1 + 0 * belly, (thin := u(0.1, 0.35)), thin * u(0.85, 1.1), thin * u(1.0, 2.2)],
+            [0, u(0.2, 0.4), (neck := u(0.5, 0.8)), (neck + 1) / 2, 1],
+            [u(0.3, 0.75), 1, (thin := u(0.1, 0.35)), thin * u(0.85, 1.1), thin * u(1.0, 2.2)],
         ),
     }[kind]()  # fmt: skip
     curve = PchipInterpolator(places, radii)(t)

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gfp_grasp.shapes.family import Family, Made
+from gfp_grasp.shapes.family import Family, Made, draw_kind
 from gfp_grasp.shapes.loft import smooth_noise, smoothstep
 from gfp_grasp.shapes.vessel import Vessel
 
@@ -37,7 +37,7 @@ _STYLES = {
 
 
 def _make(rng: np.random.Generator) -> Made:
-    kind = str(rng.choice(list(_STYLES), p=[style.share for style in _STYLES.values()]))
+    kind = draw_kind(rng, {name: style.share for name, style in _STYLES.items()})
     style = _STYLES[kind]
     half, bowl, stem_tall = (rng.uniform(*span) for span in (style.half, style.bowl, style.stem))
     stem = rng.uniform(0.0024, 0.0065) if kind in ("wine", "cocktail", "flute", "coupe") else rng.uniform(0.003, 0.009)

@@ -9,7 +9,7 @@ import trimesh
 
 from gfp_grasp.shapes.cycle import FIRST, Cycle
 from gfp_grasp.shapes.cycle_styles import draw_cycle
-from gfp_grasp.shapes.family import Family, Made
+from gfp_grasp.shapes.family import Family, Made, draw_kind
 from gfp_grasp.shapes.loft import unite
 from gfp_grasp.shapes.skeleton import Skeleton, first_clean
 
@@ -17,7 +17,7 @@ _KINDS = {"city": 0.3, "trekking": 0.25, "mountain": 0.2, "road": 0.1, "folding"
 
 
 def _make(rng: np.random.Generator) -> Made:
-    kind = str(rng.choice(list(_KINDS), p=list(_KINDS.values())))
+    kind = draw_kind(rng, _KINDS)
     cycle = draw_cycle(rng, kind)
     return Made(first_clean(lambda give: _bent(cycle.eased(give))), kind)
 

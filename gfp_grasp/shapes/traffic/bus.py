@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from gfp_grasp.shapes.body import Body, Range, both_sides, lower_edge, on_wheels, plan_of, straight_body
-from gfp_grasp.shapes.family import Family, Made
+from gfp_grasp.shapes.family import Family, Made, draw_kind
 from gfp_grasp.shapes.loft import rounded
 
 
@@ -43,7 +43,7 @@ _STYLES = {
 
 def _make(rng: np.random.Generator) -> Made:
     """One bus; its wheels stand in arches."""
-    kind = str(rng.choice(list(_STYLES), p=[style.share for style in _STYLES.values()]))
+    kind = draw_kind(rng, {name: style.share for name, style in _STYLES.items()})
     style = _STYLES[kind]
     length, wide, tall = rng.uniform(*style.length), rng.uniform(*style.width) / 2, rng.uniform(*style.height)
     tyre, clear = rng.uniform(*style.tyre), rng.uniform(0.22, 0.4)

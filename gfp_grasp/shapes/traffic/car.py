@@ -8,7 +8,7 @@ import numpy as np
 import trimesh
 
 from gfp_grasp.shapes.body import Body, Range, both_sides, lower_edge, on_wheels, plan_of
-from gfp_grasp.shapes.family import Family, Made
+from gfp_grasp.shapes.family import Family, Made, draw_kind
 from gfp_grasp.shapes.loft import rounded, subtract
 
 
@@ -71,7 +71,7 @@ _STYLES = {
 
 def _make(rng: np.random.Generator) -> Made:
     """One car; its wheels stand in arches."""
-    kind = str(rng.choice(list(_STYLES), p=[style.share for style in _STYLES.values()]))
+    kind = draw_kind(rng, {name: style.share for name, style in _STYLES.items()})
     style = _STYLES[kind]
     length, wide, tall = rng.uniform(*style.length), rng.uniform(*style.width) / 2, rng.uniform(*style.height)
     tyre = rng.uniform(*style.tyre)

@@ -9,13 +9,13 @@ from functools import cache
 import numpy as np
 import trimesh
 
-from gfp_grasp.shapes.bones import Bone
+from gfp_grasp.shapes.bones import SIDES, Bone
 from gfp_grasp.shapes.cycle import FIRST, Cycle
 from gfp_grasp.shapes.cycle_styles import draw_cycle
-from gfp_grasp.shapes.family import Family, Made
+from gfp_grasp.shapes.family import Family, Made, draw_kind
 from gfp_grasp.shapes.grown import grown
 from gfp_grasp.shapes.loft import unite
-from gfp_grasp.shapes.person import SIDES, Figure, draw_figure
+from gfp_grasp.shapes.person import Figure, draw_figure
 from gfp_grasp.shapes.skeleton import Skeleton, first_clean
 
 _KINDS = {"city": 0.4, "trekking": 0.25, "mountain": 0.15, "road": 0.1, "child": 0.1}
@@ -35,7 +35,7 @@ class _Ride:
         crank_rad: Where the right pedal is on its circle.
         crank_m: Radius of that circle.
         stretch: Longest leg over its length, when its pedal is farthest.
-        nod_rad: How far the head is bent back against the trunk, as a share of the lean.
+        nod: How far the head is bent back against the trunk, as a share of the lean.
     """
 
     cycle: Cycle
@@ -52,7 +52,7 @@ _FIRST = _Ride(FIRST, _STANDARD, np.radians(18.0), 0.0, 0.0, 0.86, 0.7)
 
 
 def _make(rng: np.random.Generator) -> Made:
-    kind = str(rng.choice(list(_KINDS), p=list(_KINDS.values())))
+    kind = draw_kind(rng, _KINDS)
     cycle = replace(draw_cycle(rng, kind), steer_rad=float(np.clip(rng.normal(0, 0.05), -0.12, 0.12)))
     figure = draw_figure(rng, child=kind == "child", coat=rng.random() < 0.2)
     ride = _Ride(
@@ -63,7 +63,7 @@ def _make(rng: np.random.Generator) -> Made:
 
 
 def _bent(ride: _Ride, give: float) -> trimesh.Trimesh:
-    """The ride; as it gives way, pedals near the middle of their circle, and girths those of the first one."""
+    """The ride; as it gives way, pedals move to the middle of their circle, girths become those of the first rider."""
     calm = 1 - give
     figure = replace(
         ride.figure, **{n: 1 + (getattr(ride.figure, n) - 1) * calm for n in ("hips", "waist", "depth", "thighs")}

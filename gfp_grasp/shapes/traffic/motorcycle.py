@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import trimesh
 
-from gfp_grasp.shapes.bones import Bone, Bones, Ring, pipe
-from gfp_grasp.shapes.family import Family, Made
+from gfp_grasp.shapes.bones import SIDES, Bone, Bones, Ring, pipe
+from gfp_grasp.shapes.family import Family, Made, draw_kind
 from gfp_grasp.shapes.grown import grown
 from gfp_grasp.shapes.loft import unite
 from gfp_grasp.shapes.skeleton import Skeleton, first_clean
@@ -31,7 +31,7 @@ _BODY = {
 
 
 def _make(rng: np.random.Generator) -> Made:
-    kind = str(rng.choice(list(_KINDS), p=list(_KINDS.values())))
+    kind = draw_kind(rng, _KINDS)
     machine = _machine(_draw(rng, kind))
     return Made(first_clean(lambda give: _bent(machine, give)), kind)
 
@@ -172,7 +172,7 @@ def _machine(p: Mapping[str, tuple[float, float]]) -> Bones:
     bones["column"] = Bone(at("crown"), at("bar"), (0.035, 0.028))
     muffler = 0.75 * at("engine_back") + 0.25 * at("seat") - [0, 0.8 * p["size_rear"][0], 0]
     bones["pipe"] = Bone(muffler, at("pipe_end", -0.1 - arm), (0.045, 0.055))
-    for name, side in (("left", 1.0), ("right", -1.0)):
+    for name, side in SIDES.items():
         wide, kink = side * p["grips"][0], side * p["grips"][1]
         bones[f"{name}_fork"] = Bone(at("front", side * fork), at("crown", side * fork), (0.024, 0.026))
         bones[f"{name}_arm"] = Bone(at("rear", side * arm), at("engine_back", 0.08 * side), (0.026, 0.035))

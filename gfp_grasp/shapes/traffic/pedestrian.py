@@ -8,10 +8,10 @@ from functools import cache
 import numpy as np
 import trimesh
 
-from gfp_grasp.shapes.bones import carried
-from gfp_grasp.shapes.family import Family, Made
+from gfp_grasp.shapes.bones import SIDES, carried
+from gfp_grasp.shapes.family import Family, Made, draw_kind
 from gfp_grasp.shapes.grown import grown
-from gfp_grasp.shapes.person import ARM_OUT_RAD, SIDES, Figure, bulged, draw_figure, standing_bones, swing
+from gfp_grasp.shapes.person import ARM_OUT_RAD, Figure, bulged, draw_figure, standing_bones, swing
 from gfp_grasp.shapes.skeleton import Skeleton, first_clean
 
 _KINDS = {"standing": 0.3, "walking": 0.4, "coat": 0.1, "pack": 0.1, "child": 0.1}
@@ -38,7 +38,7 @@ class _Pose:
 
 
 def _make(rng: np.random.Generator) -> Made:
-    kind = str(rng.choice(list(_KINDS), p=list(_KINDS.values())))
+    kind = draw_kind(rng, _KINDS)
     figure = draw_figure(rng, child=kind == "child", coat=kind == "coat", pack=kind == "pack")
     walks = kind == "walking" or (kind != "standing" and rng.random() < 0.6)
     pose = _draw_pose(rng, walks=walks)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gfp_grasp.shapes.family import Family, Made
+from gfp_grasp.shapes.family import Family, Made, draw_kind
 from gfp_grasp.shapes.loft import loft, rounded, rows, smoothstep
 
 _KINDS = {"square": 0.75, "rounded_square": 0.17, "round": 0.08}
@@ -12,7 +12,7 @@ _KINDS = {"square": 0.75, "rounded_square": 0.17, "round": 0.08}
 
 def _make(rng: np.random.Generator) -> Made:
     """One cone, as a solid: base, collar, cone, bands and tip."""
-    kind = str(rng.choice(list(_KINDS), p=list(_KINDS.values())))
+    kind = draw_kind(rng, _KINDS)
     tall = float(rng.choice([rng.uniform(0.3, 0.55), rng.uniform(0.45, 0.8), rng.uniform(0.65, 1.0)]))
     base = 0.5 * float(np.clip(tall * rng.uniform(0.46, 0.72), 0.2, 0.5))
     power = {"square": rng.uniform(9.0, 24.0), "rounded_square": rng.uniform(4.0, 7.0), "round": 2.0}[kind]
@@ -78,5 +78,4 @@ TRAFFIC_CONE = Family(
     _make,
     "traffic",
     spec={"rests": {"upright": 0.95, "lying": 0.05}, "density_kg_m3": (150.0, 1100.0)},
-    members=80,
 )

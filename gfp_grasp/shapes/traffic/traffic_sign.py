@@ -7,8 +7,8 @@ from itertools import pairwise
 import numpy as np
 import trimesh
 
-from gfp_grasp.shapes.family import Family, Made
-from gfp_grasp.shapes.loft import rounded, smoothstep
+from gfp_grasp.shapes.family import Family, Made, draw_kind
+from gfp_grasp.shapes.loft import arc_length, rounded, smoothstep
 
 _KINDS = {
     "round": 0.24, "triangle": 0.16, "yield": 0.08, "octagon": 0.1, "square": 0.12, "diamond": 0.1, "rectangle": 0.2,
@@ -18,12 +18,14 @@ _CORNERS = {"triangle": (3, 90.0), "yield": (3, -90.0), "octagon": (8, 22.5), "s
 _RINGS = np.array([0.2, 0.4, 0.6, 0.8, 1.0])
 _HALF = 36  # points of half of an outline, from its bottom to its top
 _FOOT = 3  # so many of them to each side of the bottom belong to the pole
-_HEIGHTS = np.array([0.985, *np.linspace(0.95, 0.05, 22), 0.0])  # of the pole's rings, over the plate's lower edge
+_HEIGHTS = np.array(
+    [0.985, *np.linspace(0.95, 0.05, 22), 0.0]
+)  # heights of the pole's rings over that of the plate's edge
 
 
 def _make(rng: np.random.Generator) -> Made:
     """One sign: the pole's axis is z, the plate stands on it."""
-    kind = str(rng.choice(list(_KINDS), p=list(_KINDS.values())))
+    kind = draw_kind(rng, _KINDS)
     pole, thick = rng.uniform(0.025, 0.05), rng.uniform(0.02, 0.035)
     outline = _around(_outline(rng, kind), pole)
     outline[:, 1] += rng.uniform(1.8, 3.5) - outline[:, 1].max()
@@ -59,7 +61,7 @@ def _outline(rng: np.random.Generator, kind: str) -> np.ndarray:
 
 def _around(half: np.ndarray, pole: float) -> np.ndarray:
     """The whole outline (2 _HALF, 2) from its bottom on, turning left; its first points are within the pole."""
-    length = np.concatenate([[0], np.cumsum(np.linalg.norm(np.diff(half, axis=0), axis=1))])
+    length = arc_length(half)
     widest = int(half[:, 0].argmax())
     foot = float(np.interp(0.9 * pole, half[: widest + 1, 0], length[: widest + 1]))
     at = np.concatenate([np.linspace(0, foot, _FOOT + 1), np.linspace(foot, length[-1], _HALF - _FOOT + 1)[1:]])
@@ -126,5 +128,4 @@ TRAFFIC_SIGN = Family(
     _make,
     "traffic",
     spec={"rests": {"upright": 1.0}, "density_kg_m3": (200.0, 2500.0)},
-    members=80,
 )

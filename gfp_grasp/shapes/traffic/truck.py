@@ -8,7 +8,7 @@ import numpy as np
 import trimesh
 
 from gfp_grasp.shapes.body import Body, both_sides, on_wheels, straight_body
-from gfp_grasp.shapes.family import Family, Made
+from gfp_grasp.shapes.family import Family, Made, draw_kind
 from gfp_grasp.shapes.loft import rounded
 
 _KINDS = {"box": 0.44, "flatbed": 0.1, "tipper": 0.14, "tank": 0.08, "fire": 0.14, "semi": 0.1}
@@ -39,7 +39,7 @@ class _Plan:
 
 def _make(rng: np.random.Generator) -> Made:
     """One lorry: cab, frame, load and wheels."""
-    kind = str(rng.choice(list(_KINDS), p=list(_KINDS.values())))
+    kind = draw_kind(rng, _KINDS)
     plan = _plan(rng, kind)
     front, *others = _axles(rng, plan)
     bodies = [_cab(rng, plan).mesh(), _between(rng, plan), *_load(rng, plan, others)]
