@@ -131,8 +131,9 @@ def shipped_families() -> tuple[str, ...]:
 
 def label_of(objects: str | Path) -> str:
     """Families by their names, files and folders by their own name: results never hold a path."""
-    if str(objects) in _groups():
-        return ",".join(_families(objects))
+    group = _groups().get(str(objects))
+    if group is not None:
+        return ",".join(group)
     return Path(objects).resolve().name if Path(objects).exists() else str(objects)
 
 

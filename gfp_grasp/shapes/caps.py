@@ -112,11 +112,7 @@ def spray(rng: np.random.Generator, neck: float, base: float) -> Top:
     out, collar = neck + rng.uniform(0.001, 0.004), rng.uniform(0.012, 0.02)
     stalk = min(out * 0.8, 0.011)
     head_z = collar + rng.uniform(0.016, 0.03)
-    top = _turned(
-        [[neck, 0], [out, 0.0005], [out, collar], [stalk, collar + 0.002], [stalk, head_z], [1e-6, head_z + 0.001]],
-        [0, 0.001, 0.002, 0.001, 0.001, 0],
-        base,
-    )
+    top = _stalk(neck, out, collar, stalk, head_z, base)
     half, wide_half = rng.uniform(0.008, 0.014), rng.uniform(0.008, 0.013)
     z = base + head_z + 0.3 * half
     back, front = -rng.uniform(0.015, 0.03), out + rng.uniform(0.018, 0.034)
@@ -142,11 +138,7 @@ def trigger_head(rng: np.random.Generator, neck: float, rising: np.ndarray) -> T
     base = float(rising[-1, 2])
     out, collar = neck + rng.uniform(0.0015, 0.004), rng.uniform(0.013, 0.022)
     stalk, head_z = out * rng.uniform(0.6, 0.9), collar + rng.uniform(0.012, 0.03)
-    top = _turned(
-        [[neck, 0], [out, 0.0005], [out, collar], [stalk, collar + 0.002], [stalk, head_z], [1e-6, head_z + 0.001]],
-        [0, 0.001, 0.002, 0.001, 0.001, 0],
-        base,
-    )
+    top = _stalk(neck, out, collar, stalk, head_z, base)
     half, wide_half = rng.uniform(0.009, 0.016), rng.uniform(0.008, 0.015)
     z = base + head_z + 0.4 * half
     back, front = -rng.uniform(0.02, 0.042), rng.uniform(0.034, 0.05)
@@ -177,6 +169,12 @@ def _ring(neck: float, height: float, thick: float) -> list[list[float]]:
     """Corners of a transfer ring under the cap."""
     out = neck + 0.6 * thick
     return [[neck, height], [out, height + 0.0004], [out, height + thick], [neck, height + thick + 0.0004]]
+
+
+def _stalk(neck: float, out: float, collar: float, stalk: float, top: float, base: float) -> np.ndarray:
+    """Rings of a collar and of the stalk on it that carries a trigger head; radii and heights in m."""
+    corners = [[neck, 0], [out, 0.0005], [out, collar], [stalk, collar + 0.002], [stalk, top], [1e-6, top + 0.001]]
+    return _turned(corners, [0, 0.001, 0.002, 0.001, 0.001, 0], base)
 
 
 def _turned(corners: list, radii: list, base: float) -> np.ndarray:

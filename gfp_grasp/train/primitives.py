@@ -93,7 +93,7 @@ def build_shipped(
 
     Args:
         names: As of `build_from_shapes`; `shipped_names` gives all.
-        folder: Of the .safetensors, .ply and .json.
+        folder: Receives the .safetensors, .ply and .json.
         seed: Seed of each build.
         workers: Number of processes.
         progress: Wraps the stream of finished primitives.
