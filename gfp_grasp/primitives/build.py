@@ -25,8 +25,6 @@ from gfp_grasp.primitives.surface import untangle
 from gfp_grasp.types import BODY_REGIONS, GenericPrimitive, Variant
 
 _UP = np.array([0.0, 0.0, 1.0])
-# Where more than this share of the members have equal faces, the others are a variant with its own primitive.
-_MOST = 0.6
 
 
 @dataclass(frozen=True)
@@ -106,10 +104,9 @@ def build_primitive(
     solids = _repair(meshes, dropped)
     _enough(len(solids), dropped, config)
     members = bring_into_one_pose(solids, config.orientation, rng)
-    alike = _of_one_mesh(members, dropped)
-    if alike:
+    if all(_same_faces(member, members[0]) for member in members):
         config = replace(config, smoothing=0.0)  # one mesh in many shapes has no noise of a fit
-        vertices, faces = np.stack([np.asarray(member.vertices) for member in alike]), np.asarray(alike[0].faces)
+        vertices, faces = np.stack([np.asarray(member.vertices) for member in members]), np.asarray(members[0].faces)
     else:
         vertices, faces = _bent_template(members, dropped, config, rng, seed, progress)
     placed = _into_frame(vertices, faces, config)
@@ -130,17 +127,6 @@ def _repair(meshes: Sequence[trimesh.Trimesh], dropped: Counter[str]) -> list[tr
             continue
         solids.append(solid)
     return solids
-
-
-def _of_one_mesh(members: Sequence[trimesh.Trimesh], dropped: Counter[str]) -> list[trimesh.Trimesh]:
-    """The members that are one mesh in several shapes, whose vertices correspond, where most are that; else none."""
-    for first in members[: len(members) // 2 + 1]:
-        alike = [member for member in members if _same_faces(member, first)]
-        if len(alike) > _MOST * len(members):
-            if len(alike) < len(members):
-                dropped["is another mesh than most"] += len(members) - len(alike)
-            return alike
-    return []
 
 
 def _same_faces(a: trimesh.Trimesh, b: trimesh.Trimesh) -> bool:

@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,7 @@ from gfp_grasp.types import LIDAR, CategorySpec, GenericPrimitive
 _ENOUGH_TO_HOLD_OUT = 15
 _SMALLEST_MEMBER_M = 0.005
 _LICENCE_OF_SHAPES = "Apache-2.0"
-_OF_ALL_VARIANTS = 1000  # seeds of the train split among which members of one variant are looked for
+_OF_ALL_KINDS = 1000  # seeds of the train split among which members are looked for
 
 
 def build_from_shapes(
@@ -39,10 +40,11 @@ def build_from_shapes(
     """Build the primitive of a procedural family from its train split, and measure it on its validation split.
 
     Args:
-        name: One of shapes.FAMILIES, or "family.variant" for those of its shapes that are of one variant.
-        members: Number of shapes, the first seeds of the train split; of a variant, as many as the first thousand hold.
-            None takes the family's own number.
-        held_out: Number of shapes of the validation split.
+        name: One of shapes.FAMILIES, for those of its shapes that are of no variant with a primitive of its own, or
+            "family.variant" for those that are of one variant.
+        members: Number of shapes, the first of the train split, of whose thousand seeds all are taken at most. None
+            takes the family's own number.
+        held_out: Number of shapes of the validation split; fewer where it has not so many.
         seed: Seed of the build.
         config: How it is built; None for the default.
         spec: Fields of the class's CategorySpec that differ from what the members and the family tell.
@@ -50,37 +52,30 @@ def build_from_shapes(
 
     Raises:
         UnknownCategory: No such family.
-        InvalidOption: More shapes than the splits have, or none of that variant.
+        InvalidOption: members or held_out is less than one, or there is no shape of that variant.
         BuildFailed: See build_primitive.
     """
     _check(name, spec)
     started = time.perf_counter()
-    family, _, variant = name.partition(".")
+    family = name.partition(".")[0]
     if family not in FAMILIES:
         raise UnknownCategory(
             f"no shape family {family!r}: choose one of {', '.join(FAMILIES)}, or give a folder of meshes"
         )
-    members = get_family(family).members_of(name) if members is None else members
+    if (members is not None and members < 1) or held_out < 1:
+        raise InvalidOption(f"members={members}, held_out={held_out}: at least 1 of each is expected")
     known = {**(get_family(family).spec_of(name) if name in get_family(family).names else {}), **(spec or {})}
-    train, val = split_seeds(family, "train"), split_seeds(family, "val")
-    if variant:
-        train = _of_variant(family, variant, split_seeds(family, "train", _OF_ALL_VARIANTS))[:members]
-        val = _of_variant(family, variant, val)[:held_out]
-        members, held_out = len(train), len(val)
-    if not 1 <= members <= len(train) or not 1 <= held_out <= len(val):
-        raise InvalidOption(f"members={members}, held_out={held_out}: 1 to {len(train)} and 1 to {len(val)} are there")
+    meshes, val = procedural_members(name, members), procedural_members(name, held_out, split="val")
+    members, held_out = len(meshes), len(val)
     config = config or BuildConfig(licence=_LICENCE_OF_SHAPES, optional_parts=bool(known.get("optional_parts", True)))
-    meshes = procedural_members(name, members)
     primitive = build_primitive(meshes, name, config=config, seed=seed, progress=progress)
-    figures = measure_primitive(
-        primitive, [make_shape(family, number).mesh for number in val[:held_out]], progress=progress
-    )
+    figures = measure_primitive(primitive, val, progress=progress)
     shapes = f"procedural shapes of {name}"
     card = {
         "command": f"gfp-grasp gps build {name} --limit {members} --seed {seed}",
         "seed": seed,
-        "data": f"{shapes}, the first {members} seeds of the train split",
-        "held_out_data": f"{shapes}, the first {held_out} seeds of the val split",
+        "data": f"{shapes}, the first {members} of the train split",
+        "held_out_data": f"{shapes}, the first {held_out} of the val split",
     }
     card |= {**primitive.card, **figures.figures(), "build_s": round(time.perf_counter() - started)}
     return _recognisable(with_spec(replace(primitive, card=card), known), seed, meshes)
@@ -113,21 +108,28 @@ def _built(name: str, *, folder: Path, seed: int) -> GenericPrimitive:
     return primitive
 
 
-def procedural_members(name: str, count: int | None = None) -> list[trimesh.Trimesh]:
-    """The first shapes of the train split of a procedural family, or of one of its variants ("family.variant").
+def procedural_members(name: str, count: int | None = None, *, split: str = "train") -> list[trimesh.Trimesh]:
+    """The shapes that the primitive of a procedural family, or of one of its variants, is built from.
 
-    As many as a count, or as its primitive is built from.
+    A family's own primitive has no member of a variant that has a primitive.
+
+    Args:
+        name: "family" or "family.variant".
+        count: The first so many of the split; None is as many as the primitive is built from.
+        split: "train", "val" or "test".
 
     Raises:
         UnknownCategory: No such family.
         InvalidOption: No shape of that variant.
     """
-    family, _, variant = name.partition(".")
-    count = get_family(family).members_of(name) if count is None else count
-    seeds = split_seeds(family, "train")
-    if variant:
-        seeds = _of_variant(family, variant, split_seeds(family, "train", _OF_ALL_VARIANTS))
-    return [make_shape(family, number).mesh for number in seeds[:count]]
+    name_of_family, _, variant = name.partition(".")
+    family = get_family(name_of_family)
+    shapes = (make_shape(family.name, seed) for seed in split_seeds(family.name, split, _OF_ALL_KINDS))
+    own = (shape.mesh for shape in shapes if (shape.kind == variant if variant else shape.kind not in family.variants))
+    found = list(islice(own, family.members_of(name) if count is None else count))
+    if not found:
+        raise InvalidOption(f"no {family.name} is of the variant {variant!r}: see what gfp_grasp/shapes makes of it")
+    return found
 
 
 def with_spec(primitive: GenericPrimitive, changes: Mapping[str, object] | None) -> GenericPrimitive:
@@ -147,14 +149,6 @@ def _check(name: str, changes: Mapping[str, object] | None) -> None:
     """Refuse a name or changes of its spec that are not legal, before the work is done."""
     parent, _, subcategory = name.partition(".")
     _changed(CategorySpec(name, parent=parent if subcategory else None), changes)
-
-
-def _of_variant(family: str, variant: str, seeds: tuple[int, ...]) -> tuple[int, ...]:
-    """Those of the seeds whose shapes are of a variant."""
-    found = tuple(seed for seed in seeds if make_shape(family, seed).kind == variant)
-    if not found:
-        raise InvalidOption(f"no {family} is of the variant {variant!r}: see gfp_grasp/shapes for those that are made")
-    return found
 
 
 def build_from_folder(
