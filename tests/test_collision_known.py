@@ -217,13 +217,18 @@ def test_a_mesh_that_its_hull_exceeds_by_a_thousandth_is_not_convex(excess: floa
     assert not choice._is_convex(trimesh.Trimesh(box.vertices, box.faces[3:], process=False))
 
 
-def test_a_template_may_take_half_an_hour_and_is_cut_finer_below_32_parts(monkeypatch) -> None:
+def test_a_template_may_take_half_an_hour_and_is_cut_finer_where_few_parts_are_not_close(monkeypatch) -> None:
     asked: list[DecomposeConfig] = []
-    for count, thresholds in ((31, [0.02, 0.01]), (32, [0.02])):
+    near_m = 0.0005 * diagonal_m(np.asarray(BODY.vertices))
+    for count, error_m, thresholds in (
+        (31, 1.01 * near_m, [0.02, 0.01]),
+        (31, 0.99 * near_m, [0.02]),
+        (32, 1.01 * near_m, [0.02]),
+    ):
 
-        def decompose(mesh, *, config, count=count):
+        def decompose(mesh, *, config, count=count, error_m=error_m):
             asked.append(config)
-            return CollisionMesh((l_parts() * 20)[:count], (0.0, 0.0, 0.0), "coacd", 0.0, {})
+            return CollisionMesh((l_parts() * 20)[:count], (error_m, 9.0, 9.0), "coacd", 0.0, {})
 
         asked.clear()
         monkeypatch.setattr(decomposition, "decompose", decompose)

@@ -90,7 +90,7 @@ def test_a_template_of_few_parts_is_cut_more_finely(monkeypatch: pytest.MonkeyPa
     def some(mesh, config):
         thresholds.append(config.threshold)
         count = counts[len(thresholds) - 1]
-        return CollisionMesh(tuple(box_part([i, 0, 0], [i + 1, 1, 1]) for i in range(count)), (0, 0, 0), "coacd", 0.0)
+        return CollisionMesh(tuple(box_part([i, 0, 0], [i + 1, 1, 1]) for i in range(count)), (1, 1, 1), "coacd", 0.0)
 
     monkeypatch.setattr(decomposition, "decompose", some)
     monkeypatch.setattr(decomposition, "levels_of", lambda parts, mesh: parts)
