@@ -54,7 +54,7 @@ class CompletionConfig:
         views: Number of views of each object.
         seed: Seed of views, noise and samples.
         split: Split of the procedural families: train, val or test.
-        limit: Most objects of each family; None takes all.
+        limit: Most objects; families take turns. None takes all.
         give_category: Tell the methods the true class.
         noise_m: Standard deviation of the depth noise, m.
         protocol: How objects stand and are seen, one of views.PROTOCOLS.

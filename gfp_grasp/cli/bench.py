@@ -11,6 +11,7 @@ from gfp_grasp.cli.terminal import (
     Gps,
     JsonFile,
     Limit,
+    LimitOfEach,
     Most,
     Objects,
     Ray,
@@ -134,7 +135,7 @@ def _primitive_figures(row: Mapping) -> tuple[str, ...]:
 def registration(
     starts: Annotated[str, typer.Option(help="box, pcrnet, or both with a comma between.")] = "box,pcrnet",
     views: Annotated[int, typer.Option(min=1, help="Views of each object.")] = 4,
-    limit: Limit = None,
+    limit: LimitOfEach = None,
     mean_size: Annotated[bool, typer.Option("--mean-size", help="Starts have the mean size.")] = False,
     workers: Workers = 1,
     json_file: JsonFile = None,

@@ -35,8 +35,9 @@ Track = Callable[[Iterable[Result], int], Iterable[Result]]
 Seed = Annotated[int, typer.Option(min=0, help="Seed of every random choice; the same seed gives the same answer.")]
 Workers = Annotated[int, typer.Option(min=0, help="Number of processes; 0 is one a core.")]
 Ray = Annotated[str | None, typer.Option(help="Run on a Ray cluster: auto (this machine's), or host:port of its head.")]
-Limit = Annotated[int | None, typer.Option(min=1, help="Most objects (of each family).")]
-Most = Annotated[int, typer.Option("--limit", min=1, help="Most objects (of each family).")]
+Limit = Annotated[int | None, typer.Option(min=1, help="Most objects; families take turns.")]
+LimitOfEach = Annotated[int | None, typer.Option("--limit", min=1, help="Most objects of each class.")]
+Most = Annotated[int, typer.Option("--limit", min=1, help="Most objects; families take turns.")]
 Split = Annotated[str, typer.Option(help="Split of the procedural families: train, val or test.")]
 Objects = Annotated[
     str, typer.Option(help="Procedural families with commas between, household, traffic or all; a mesh file; a folder.")

@@ -10,7 +10,7 @@ from typing import Annotated, cast
 import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
 
-from gfp_grasp.cli.terminal import Gps, Limit, Seed, Workers, err, out, table, track, warnings_as_notes
+from gfp_grasp.cli.terminal import Gps, LimitOfEach, Seed, Workers, err, out, table, track, warnings_as_notes
 from gfp_grasp.errors import InvalidOption, UnreadableFile
 
 gps = typer.Typer(name="gps", help="Generic primitives: list, show, build.", no_args_is_help=True)
@@ -156,7 +156,7 @@ def classifier(
     data: Data = None,
     folder: Annotated[Path, typer.Option("--out", help="Folder of the weights.")] = Path("gfp_grasp/weights"),
     steps: Steps = None,
-    limit: Limit = None,
+    limit: LimitOfEach = None,
     device: Device = "cpu",
     runs: Runs = Path("runs"),
     workers: Workers = 1,
@@ -187,7 +187,7 @@ def pcrnet(
     file: Out = None,
     steps: Steps = None,
     views: Views = 4,
-    limit: Limit = None,
+    limit: LimitOfEach = None,
     device: Device = "cpu",
     runs: Runs = Path("runs"),
     seed: Seed = 0,
@@ -218,7 +218,7 @@ def gfpnet(
     file: Out = None,
     steps: Steps = None,
     views: Views = 4,
-    limit: Limit = None,
+    limit: LimitOfEach = None,
     device: Device = "cpu",
     runs: Runs = Path("runs"),
     workers: Workers = 1,
