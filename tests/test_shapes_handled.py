@@ -6,10 +6,14 @@ import trimesh
 
 from gfp_grasp.shapes import make_shape
 from gfp_grasp.shapes.blocks import block
-from gfp_grasp.shapes.handles import half_loop
+from gfp_grasp.shapes.grafts import PATCH_ROWS, SEGMENTS, with_long_handle
+from gfp_grasp.shapes.handles import LongHandle, half_loop, long_handle
 from gfp_grasp.shapes.lids import under_lid
+from gfp_grasp.shapes.loft import rows
+from gfp_grasp.shapes.matched import matched, space_discs
 from gfp_grasp.shapes.shape import Shape
 from gfp_grasp.shapes.spouts import drawn_out
+from gfp_grasp.shapes.vessel import Vessel
 
 NUM_SEEDS = 8
 
@@ -93,6 +97,14 @@ def test_a_long_handle_reaches_further_than_a_hand_is_wide(family):
         assert not shape.has_handle, shape.name
 
 
+@pytest.mark.parametrize("seed", [3, 445])  # the second one's handle hangs down farthest
+def test_a_pan_stands_on_its_floor_and_not_on_its_handle(seed):
+    vertices = make_shape("pan", seed).mesh.vertices
+    grip = vertices[:, 0] > -vertices[:, 0].min() + 0.01
+    assert vertices[~grip, 2].min() == pytest.approx(0.0, abs=1e-12)
+    assert vertices[grip, 2].min() > 0.0005
+
+
 def test_a_gable_ends_in_a_thin_fin_along_x_in_the_middle():
     for shape in of_kinds("carton", "gable", count=5):
         top = shape.mesh.vertices[shape.mesh.vertices[:, 2] > shape.mesh.bounds[1, 2] - 0.001]
@@ -147,11 +159,84 @@ def test_a_drawn_out_rim_moves_at_minus_x_only_and_leaves_what_is_within():
     np.testing.assert_allclose(moved[1:], points[1:], atol=1e-9)
 
 
-@pytest.mark.parametrize("kind", ["open", "lidded"])
-def test_pots_of_a_kind_are_one_mesh_whose_vertices_correspond(kind):
-    first, *others = of_kinds("pot", kind, count=4)
+@pytest.mark.parametrize(
+    ("family", "kinds"),
+    [
+        ("pot", ["open"] * 4),
+        ("pot", ["lidded"] * 4),
+        ("pot", ["saucepan"] * 4),
+        ("pan", ["frying", "skillet", "wok", "grill"]),
+    ],
+)
+def test_members_are_one_mesh_whose_vertices_correspond(family, kinds):
+    first, *others = [of_kinds(family, kind, count=4)[number] for number, kind in enumerate(kinds)]
     tip = int(first.mesh.vertices[:, 0].argmax())
     for other in others:
         np.testing.assert_array_equal(other.mesh.faces, first.mesh.faces)
-        # The outermost vertex of one ear is at the outer edge of that ear on all of them.
+        # The outermost vertex of one ear or handle is at the outer edge of it on all of them.
         assert other.mesh.vertices[tip, 0] > 0.97 * other.mesh.bounds[1, 0], other.name
+
+
+def test_the_corners_of_grill_pans_are_at_the_same_vertices():
+    first, *others = of_kinds("pan", "grill", count=3)
+    corner = int((first.mesh.vertices @ [-1, 1, 0]).argmax())
+    for other in others:
+        reach = other.mesh.vertices @ [-1, 1, 0]
+        assert reach[corner] > 0.99 * reach.max(), other.name
+
+
+def test_long_handles_are_as_long_as_asked_and_their_sections_are_at_the_same_shares():
+    rng = np.random.default_rng(0)
+    first, second = (long_handle(rng, length=length, along=0.006, across=0.08 * length) for length in (0.15, 0.2))
+    np.testing.assert_allclose(first.path[:, 0] / 0.15, second.path[:, 0] / 0.2, atol=1e-12)
+    for handle, length in ((first, 0.15), (second, 0.2)):
+        np.testing.assert_allclose(handle.path[[0, -1], 0], [0, length], atol=1e-12)
+        assert handle.across.max() < 1.25 * 0.08 * length
+        assert handle.along.max() < 1.1 * 0.006
+        assert handle.across[-1] < 0.3 * handle.across.max()
+
+
+RINGS = (12, 14, PATCH_ROWS, 5, 4, 16, 12)
+
+
+def straight_pan(power: float) -> trimesh.Trimesh:
+    """A vessel of half-width 0.1 m and wall 4 mm with a straight handle, 0.2 m long, at a height of 30 mm."""
+    height = np.linspace(0.0, 0.05, 401)
+    vessel = Vessel(height, np.full(401, 0.1), wall=0.004, floor=0.004, power=power, segments=SEGMENTS)
+    t = np.linspace(0, 1, 21)
+    handle = LongHandle(0.2 * t[:, None] * [1, 0, 0], np.full(21, 0.012), np.full(21, 0.006), 2.0)
+    return with_long_handle(vessel.matched_mesh(RINGS, breaks_m=(0.024, 0.036)), RINGS, handle, power=power)
+
+
+def test_a_straight_long_handle_is_an_elliptic_bar_that_stands_on_a_rectangle_of_the_side():
+    mesh = straight_pan(power=2.0)
+    assert mesh.is_volume
+    assert mesh.euler_number == 2
+    assert mesh.bounds[1, 0] == pytest.approx(0.3, abs=1e-12)
+    bar = mesh.vertices[(mesh.vertices[:, 0] > 0.131) & (mesh.vertices[:, 0] < 0.299)]
+    assert len(bar) == 16 * 18
+    np.testing.assert_allclose(np.hypot(bar[:, 1] / 0.012, (bar[:, 2] - 0.03) / 0.006), 1.0, atol=1e-9)
+    for y, z in ((-0.012, 0.024), (-0.012, 0.036), (0.012, 0.024), (0.012, 0.036)):
+        corner = [np.sqrt(0.1**2 - y**2), y, z]
+        assert np.linalg.norm(mesh.vertices - corner, axis=1).min() < 1e-9
+
+
+@pytest.mark.parametrize("power", [2.0, 6.0])
+def test_a_long_handle_leaves_the_side_of_a_round_or_square_body_where_it_is(power):
+    vertices = straight_pan(power).vertices
+    side = vertices[(vertices[:, 2] > 0.015) & (vertices[:, 2] < 0.049) & (vertices[:, 0] < 0.0999)]
+    half = (np.abs(side[:, :2]) ** power).sum(axis=1) ** (1 / power)
+    np.testing.assert_allclose(np.minimum(np.abs(half - 0.1), np.abs(half - 0.096)), 0.0, atol=1e-12)
+
+
+def test_rings_of_a_spaced_disc_are_each_smaller_by_the_same_share():
+    pieces = [
+        rows(radius, height)
+        for radius, height in (([1e-6, 0.05], [0, 0]), ([0.05] * 2, [0, 0.1]), ([0.05, 1e-6], [0.1, 0.1]))
+    ]
+    body = matched(pieces, (8, 4, 8), segments=24)
+    space_discs(body, 8, segments=24, floor=True)
+    radius = body.vertices[1:-1].reshape(-1, 24, 3)[:, 0, 0]
+    np.testing.assert_allclose(radius[1:8] / radius[:7], radius[7] / radius[6])
+    np.testing.assert_allclose(radius[::-1], radius)
+    assert body.is_volume

@@ -1,22 +1,28 @@
 """Tubes that grow out of a body of rings, without a boolean: members of equal counts have equal faces.
 
-A patch of the body's grid is left out at each end of a tube, and the tube begins and ends with the patch's outline.
-Its columns crowd about the patches, so that these are as wide as the tube is thick.
+A patch of the body's grid is left out wherever a tube meets the body, and the tube begins or ends with the patch's
+outline. Columns crowd about the patches, so that these are as wide as the tube.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 import trimesh
+from numpy.typing import ArrayLike
 
-from gfp_grasp.shapes.handles import even_path, half_loop
+from gfp_grasp.shapes.handles import LongHandle, even_path, half_loop
 from gfp_grasp.shapes.loft import ring_faces
 
 SEGMENTS = 72
 PATCH_ROWS = 3
-_PATCH_COLUMNS = 3
-_FIRST_COLUMN = 2  # first column of a patch, counted from the middle of the ear
+# Columns of a patch: an ear is about as thick as it is wide, a long handle is wider.
+_EAR_COLUMNS, _HANDLE_COLUMNS = 3, 6
+_FIRST_COLUMN = 2  # first column of an ear's patch, counted from the middle of the ear
 _STEPS = 24
+# Shares of a long handle's length within which the outline of its patch becomes its own section, and its rings lean.
+_FILLET, _LEANING = 0.15, 0.5
 
 
 def with_ears(
@@ -42,37 +48,111 @@ def with_ears(
         power: How square the ear is: 2 is half an ellipse.
         rise: How much an ear rises for each metre that it stands out.
     """
-    grid = np.asarray(body.vertices)[1:-1].reshape(-1, SEGMENTS, 3)
-    wide, deep = grid[:, 0, 0], grid[:, SEGMENTS // 4, 1]
+    grid = _grid(body)
     row = first_row + PATCH_ROWS // 2
-    at = np.arcsin(np.clip(half / deep[row], 0, 0.9))
-    turn = _columns(at, 1.15 * along / deep[row])
-    grid = np.stack([wide[:, None] * np.cos(turn), deep[:, None] * np.sin(turn), 0 * turn + grid[:, :1, 2]], axis=2)
-    vertices = np.concatenate([body.vertices[:1], grid.reshape(-1, 3), body.vertices[-1:]])
-    root = float(wide[row] * np.cos(at))
-    middle = float(grid[first_row : first_row + PATCH_ROWS + 1, 0, 2].mean())
-    loop = _loop(root, float(wide[row]) - root, half, middle, reach, power, rise)
-    tubes, faces = [], [_body_faces(len(grid), first_row)]
-    for side in (0, 1):
-        tube = _tube(loop, along, across) * ([1, 1, 1] if side == 0 else [-1, -1, 1])
-        count = tube.shape[0] * tube.shape[1]
-        inner = len(vertices) + side * count + np.arange(count).reshape(tube.shape[:2])
-        ends = [_outline(first_row, side * SEGMENTS // 2, end) for end in (-1, 1)]
-        faces.append(_between(np.concatenate([ends[:1], inner, ends[1:]])))
-        tubes.append(tube.reshape(-1, 3))
-    # No face has the vertices within the patches.
-    used, renumbered = np.unique(np.concatenate(faces), return_inverse=True)
-    return trimesh.Trimesh(np.concatenate([vertices, *tubes])[used], renumbered.reshape(-1, 3), process=False)
-
-
-def _columns(at: float, spread: float) -> np.ndarray:
-    """Angles (SEGMENTS,) of the columns, with a patch from at - spread to at + spread in each quarter."""
-    last = _FIRST_COLUMN + _PATCH_COLUMNS
+    wide, deep = float(grid[row, 0, 0]), float(grid[row, SEGMENTS // 4, 1])
+    at = np.arcsin(np.clip(half / deep, 0, 0.9))
+    spread, first, last = 1.15 * along / deep, _FIRST_COLUMN, _FIRST_COLUMN + _EAR_COLUMNS
     quarter = np.interp(
-        np.arange(SEGMENTS // 4 + 1), [0, _FIRST_COLUMN, last, SEGMENTS // 4], [0, at - spread, at + spread, np.pi / 2]
+        np.arange(SEGMENTS // 4 + 1), [0, first, last, SEGMENTS // 4], [0, at - spread, at + spread, np.pi / 2]
     )
-    half = np.concatenate([quarter, np.pi - quarter[-2::-1]])
-    return np.concatenate([half, half[1:-1] + np.pi])
+    vertices = _respaced(body, np.concatenate([quarter, np.pi - quarter[-2::-1]]))
+    root = wide * np.cos(at)
+    middle = float(grid[first_row : first_row + PATCH_ROWS + 1, 0, 2].mean())
+    loop = _loop(root, wide - root, half, middle, reach, power, rise)
+    level = np.gradient(loop, axis=0) * [1, 1, 0]
+    tube = _tube(loop, level, along, across, _section(_EAR_COLUMNS, 2.6))
+    # Columns in the middle of the patches where the ears begin and end.
+    middles = np.array([-1, 1]) * (first + last) / 2
+    middles = np.concatenate([middles, middles + SEGMENTS / 2])
+    faces = [_without_patches(len(grid), first_row, middles, _EAR_COLUMNS)]
+    for (begin, end), turn in zip(middles.reshape(2, 2), ([1, 1, 1], [-1, -1, 1]), strict=True):
+        ends = _outline(first_row, begin, _EAR_COLUMNS), _outline(first_row, end, _EAR_COLUMNS, from_behind=True)
+        faces.append(_between(np.stack([ends[0], *_numbers(len(vertices), tube), ends[1]])))
+        vertices = np.concatenate([vertices, (tube * turn).reshape(-1, 3)])
+    return _used(vertices, faces)
+
+
+def with_long_handle(
+    body: trimesh.Trimesh, counts: Sequence[int], handle: LongHandle, *, power: float = 2.0
+) -> trimesh.Trimesh:
+    """A body with one handle towards +x.
+
+    Args:
+        body: Mesh of `matched` with SEGMENTS vertices in a ring.
+        counts: Its rings: of the underside, of the side below, at (PATCH_ROWS) and above the handle, of the rim, of the
+            inner side and of the floor.
+        handle: Leaves the body in the middle of the rings that are at it.
+        power: Exponent of the body's superellipse sections.
+    """
+    foot, first_row, _, _, rim, floor, _ = np.cumsum(counts) - 1
+    middle = _grid(body)[first_row : first_row + PATCH_ROWS + 1].mean(axis=0)
+    aside = handle.across[0] / middle[SEGMENTS // 4, 1]
+    spread = float(np.arctan2(aside, (1 - aside**power) ** (1 / power)))
+    # Narrow columns would be needles on the discs.
+    crowd = np.interp(np.arange(sum(counts) - 1), [foot, first_row, rim, floor], [0, 1, 1, 0])
+    vertices = _respaced(body, _crowded(spread, crowd), power)
+    path = middle[0] + handle.path
+    tangent = np.gradient(path, axis=0)
+    tube = _tube(path, tangent, handle.across, handle.along, _section(_HANDLE_COLUMNS, handle.power))
+    outline = _outline(first_row, 0, _HANDLE_COLUMNS)
+    tube += _towards(vertices[outline] - tube[0], handle.path[:, 0] / handle.path[-1, 0], tangent)
+    rings = np.stack([outline, *_numbers(len(vertices), tube[1:])])
+    vertices = np.concatenate([vertices, tube[1:].reshape(-1, 3), path[-1:]])
+    cap = np.stack([rings[-1], np.roll(rings[-1], -1), np.full(len(outline), len(vertices) - 1)], axis=1)
+    return _used(vertices, [_without_patches(len(crowd), first_row, [0], _HANDLE_COLUMNS), _between(rings), cap])
+
+
+def _grid(body: trimesh.Trimesh) -> np.ndarray:
+    """Rings (r, SEGMENTS, 3) m of the body."""
+    return np.asarray(body.vertices)[1:-1].reshape(-1, SEGMENTS, 3)
+
+
+def _towards(root: np.ndarray, share: np.ndarray, tangent: np.ndarray) -> np.ndarray:
+    """What (n, k, 3) moves the rings of a long handle so that the first of them is the outline of its patch.
+
+    Args:
+        root: (k, 3) m, from the first ring to the outline.
+        share: (n,), where the rings are, 0 to 1.
+        tangent: (n, 3) of any length.
+    """
+    # On a leaning side, rings lean at first: their vertices slide along the handle, which keeps its section.
+    slide = root[:, :1] * (tangent / tangent[:, :1])[:, None]
+    lean, fillet = (np.clip(1 - share / end, 0, 1)[:, None, None] ** 2 for end in (_LEANING, _FILLET))
+    return lean * slide + fillet * (root - slide[0])
+
+
+def _crowded(spread: float, crowd: np.ndarray) -> np.ndarray:
+    """Angles (r, SEGMENTS / 2 + 1) of columns that crowd about a long handle.
+
+    They do so within the eighths beside it: the corners of a square body are at the same column whatever the handle.
+
+    Args:
+        spread: Angle of the edge of the handle's patch.
+        crowd: (r,), 0 for a ring of even columns, 1 for one whose columns are as wide as the patch.
+    """
+    column, eighth = np.arange(SEGMENTS // 2 + 1), SEGMENTS // 8
+    even = column * 2 * np.pi / SEGMENTS
+    narrow = np.interp(column, [0, _HANDLE_COLUMNS // 2, eighth], [0, spread, np.pi / 4])
+    return even + crowd[:, None] * np.where(column < eighth, narrow - even, 0)
+
+
+def _respaced(body: trimesh.Trimesh, half: np.ndarray, power: float = 2.0) -> np.ndarray:
+    """Vertices of the body with other columns.
+
+    Args:
+        body: With superellipses for rings.
+        half: (SEGMENTS / 2 + 1,), or so many for each ring, angles of the columns from 0 to pi; the other half mirrors
+            them. They are measured after the body is made as deep as it is wide.
+        power: Exponent of the superellipses.
+    """
+    grid = _grid(body)
+    turn = np.concatenate([half, 2 * np.pi - half[..., -2:0:-1]], axis=-1)
+    cos, sin = np.cos(turn), np.sin(turn)
+    reach = (np.abs(cos) ** power + np.abs(sin) ** power) ** (-1 / power)
+    wide, deep = grid[:, :1, 0], grid[:, SEGMENTS // 4, 1, None]
+    grid = np.stack([wide * reach * cos, deep * reach * sin, 0 * turn + grid[:, :1, 2]], axis=2)
+    return np.concatenate([body.vertices[:1], grid.reshape(-1, 3), body.vertices[-1:]])
 
 
 def _loop(root: float, bulge: float, half: float, height: float, reach: float, power: float, rise: float) -> np.ndarray:
@@ -82,32 +162,51 @@ def _loop(root: float, bulge: float, half: float, height: float, reach: float, p
     return np.stack([root + path[:, 0], path[:, 2], height + rise * path[:, 0]], axis=1)
 
 
-def _square() -> np.ndarray:
+def _square(num_columns: int) -> np.ndarray:
     """Places (k, 2) of the vertices of a patch's outline within -1 .. 1, turning left."""
-    u, v = np.linspace(-1, 1, _PATCH_COLUMNS + 1), np.linspace(-1, 1, PATCH_ROWS + 1)
+    u, v = np.linspace(-1, 1, num_columns + 1), np.linspace(-1, 1, PATCH_ROWS + 1)
     sides = [(u[:-1], -1), (1, v[:-1]), (u[:0:-1], 1), (-1, v[:0:-1])]
     return np.concatenate([np.stack(np.broadcast_arrays(*side), axis=1) for side in sides])
 
 
-def _outline(first_row: int, first_column: int, end: int) -> np.ndarray:
-    """Numbers (k,) of the body's vertices around the patch where an ear begins (-1) or ends (1)."""
-    u, v = _square().T
-    middle = end * (_FIRST_COLUMN + _PATCH_COLUMNS / 2)
-    # At its end the tube is seen from behind: what was left is right.
-    column = first_column + np.rint(middle - end * u * _PATCH_COLUMNS / 2).astype(int)
+def _section(num_columns: int, power: float) -> np.ndarray:
+    """Places (k, 2) of the vertices of a superellipse within -1 .. 1, one for each of a patch's outline."""
+    corner = np.pi / 2 * PATCH_ROWS / (PATCH_ROWS + num_columns)
+    toward = _square(num_columns) * [1, np.tan(corner)]
+    return toward / (np.abs(toward) ** power).sum(axis=1, keepdims=True) ** (1 / power)
+
+
+def _outline(first_row: int, middle: float, num_columns: int, *, from_behind: bool = False) -> np.ndarray:
+    """Numbers (k,) of the body's vertices around the patch about a column, turning left as seen from the tube.
+
+    Seen from behind, as where a tube ends, what was left is right.
+    """
+    u, v = _square(num_columns).T
+    column = np.rint(middle + (-u if from_behind else u) * num_columns / 2).astype(int)
     row = first_row + np.rint((v + 1) * PATCH_ROWS / 2).astype(int)
     return 1 + row * SEGMENTS + column % SEGMENTS
 
 
-def _tube(path: np.ndarray, along: float, across: float) -> np.ndarray:
-    """Rings (n, k, 3) m around a path that rises little."""
-    tangent = np.gradient(path, axis=0) * [1, 1, 0]
-    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
-    aside = np.cross([0.0, 0.0, 1.0], tangent)
-    square = _square()
-    section = square / (np.abs(square) ** 2.6).sum(axis=1, keepdims=True) ** (1 / 2.6)
-    up = np.array([0.0, 0.0, across])
-    return path[:, None] + along * section[None, :, :1] * aside[:, None] + section[None, :, 1:] * up
+def _tube(path: np.ndarray, tangent: np.ndarray, aside: ArrayLike, up: ArrayLike, section: np.ndarray) -> np.ndarray:
+    """Rings (n, k, 3) m around a path.
+
+    Args:
+        path: (n, 3) m.
+        tangent: (n, 3) of any length, not upright; sections are at a right angle to it.
+        aside: (n,) m or number, half-width of the section on the level.
+        up: (n,) m or number, half-width the other way.
+        section: (k, 2) within -1 .. 1, aside and up, turning left.
+    """
+    to_side = np.cross([0.0, 0.0, 1.0], tangent)
+    upward = np.cross(tangent, to_side)
+    axes = np.stack([to_side, upward], axis=1) / np.linalg.norm([to_side, upward], axis=2).T[:, :, None]
+    half = np.stack(np.broadcast_arrays(aside, up, path[:, 0])[:2], axis=1)
+    return path[:, None] + np.einsum("kc,ncd->nkd", section, half[:, :, None] * axes)
+
+
+def _numbers(first: int, tube: np.ndarray) -> np.ndarray:
+    """Numbers (n, k) of the vertices of a tube that are added behind so many others."""
+    return first + np.arange(tube.shape[0] * tube.shape[1]).reshape(tube.shape[:2])
 
 
 def _between(rings: np.ndarray) -> np.ndarray:
@@ -118,12 +217,16 @@ def _between(rings: np.ndarray) -> np.ndarray:
     return np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
 
 
-def _body_faces(num_rings: int, first_row: int) -> np.ndarray:
-    """Faces of the body without the four patches."""
-    columns = _FIRST_COLUMN + np.arange(_PATCH_COLUMNS)
-    columns = np.concatenate([columns, -1 - columns])
-    columns = np.concatenate([columns, columns + SEGMENTS // 2]) % SEGMENTS
+def _without_patches(num_rings: int, first_row: int, middles: ArrayLike, num_columns: int) -> np.ndarray:
+    """Faces of the body without the patches about some columns."""
+    columns = np.asarray(middles)[:, None] - num_columns / 2 + np.arange(num_columns)
     rows = first_row + np.arange(PATCH_ROWS)
-    quads = (rows[:, None] * SEGMENTS + columns).ravel()
+    quads = (rows[:, None] * SEGMENTS + columns.ravel().astype(int) % SEGMENTS).ravel()
     gone = SEGMENTS + np.concatenate([quads, quads + (num_rings - 1) * SEGMENTS])
     return np.delete(ring_faces(num_rings, SEGMENTS), gone, axis=0)
+
+
+def _used(vertices: np.ndarray, faces: Sequence[np.ndarray]) -> trimesh.Trimesh:
+    """The mesh of these faces without the vertices that none of them has, such as those within a patch."""
+    used, renumbered = np.unique(np.concatenate(faces), return_inverse=True)
+    return trimesh.Trimesh(vertices[used], renumbered.reshape(-1, 3), process=False)

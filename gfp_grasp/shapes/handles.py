@@ -1,6 +1,8 @@
-"""What a hand takes hold of: loop handles, bails and long handles, as tubes whose ends reach into the body."""
+"""What a hand takes hold of: loop handles and bails, as tubes whose ends reach into the body, and long handles."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 import trimesh
@@ -9,6 +11,9 @@ from gfp_grasp.shapes.loft import arc_length, rounded, smoothstep, sweep
 
 # Handles begin and end well within the body: at this share of its smaller radius where they meet it.
 _ROOT = 0.55
+# Sections of a long handle and of its rounded end, and how those of the first crowd towards the body.
+_SHAFT, _TIP = 20, 6
+_CROWDED = 1.3
 
 
 def even_path(plane: np.ndarray, count: int) -> np.ndarray:
@@ -78,32 +83,44 @@ def bail(
     return sweep(path, across * (thin + (1 - thin) * grip), along * (0.8 + 0.2 * grip), power=2.4, segments=20)
 
 
-def long_handle(
-    rng: np.random.Generator, radius: float, height: float, *, length: float, along: float, across: float
-) -> trimesh.Trimesh:
-    """One long handle towards +x with a rounded end.
+@dataclass(frozen=True, eq=False)
+class LongHandle:
+    """A handle of one end, whose n-th section has its place on every other one as well.
+
+    Attributes:
+        path: Centre line (n, 3) m towards +x in y = 0, from the side of the body, which is the origin, to the end.
+        across: (n,) m, half-width along y.
+        along: (n,) m, half-thickness in the plane of the path.
+        power: Exponent of the superellipse section.
+    """
+
+    path: np.ndarray
+    across: np.ndarray
+    along: np.ndarray
+    power: float
+
+
+def long_handle(rng: np.random.Generator, *, length: float, along: float, across: float) -> LongHandle:
+    """One long handle with a rounded end.
 
     Args:
         rng: Draws the bend, the rise and the course of the width.
-        radius: Where the body's side is, m.
-        height: Where the handle leaves it, m.
-        length: From the side to the end, m.
+        length: From the side of the body to the end, m.
         along: Half-thickness, m.
         across: Half-width, m.
     """
-    t = np.linspace(0, 1, 48)
+    tip = across / length
+    shaft, end = np.linspace(0, 1, _SHAFT) ** _CROWDED, np.sin(np.linspace(0, np.pi / 2, _TIP + 1)[1:])
+    t = np.concatenate([(1 - tip) * shaft, 1 - tip + tip * end])
     rise, bend = np.tan(rng.uniform(0.0, 0.35)) * length, rng.uniform(-0.08, 0.08) * length
     steep = rng.uniform(0.0, 1.0)
-    z = height + rise * ((1 - steep) * t + steep * smoothstep(t * 1.3)) + bend * np.sin(np.pi * t) ** 2
-    plane = np.stack([radius + length * t, z], axis=1)
-    plane = np.concatenate([[[0.85 * radius, height]], plane])
-    path = even_path(plane, 52)
-    t = np.clip((path[:, 0] - radius) / length, 0, 1)
+    z = rise * ((1 - steep) * t + steep * smoothstep(t * 1.3)) + bend * np.sin(np.pi * t) ** 2
     neck, swell = rng.uniform(0.5, 1.0), rng.uniform(0.0, 0.25)
     width = neck + (1 - neck) * smoothstep(t / rng.uniform(0.2, 0.5)) + swell * np.sin(np.pi * t**2)
-    end = np.sqrt(np.maximum(1 - np.clip((t - 1 + across / length) * length / across, 0, 0.97) ** 2, 0.04))
+    narrow = np.concatenate([np.ones(_SHAFT), np.sqrt(np.maximum(1 - end**2, 0.06))])
     flat = np.interp(t, [0, 0.3, 1], [rng.uniform(0.7, 1.0), 1.0, rng.uniform(0.7, 1.1)])
-    return sweep(path, across * width * end, along * flat * np.maximum(end, 0.5), power=rng.choice([2.0, 2.8]))
+    path = np.stack([length * t, 0 * t, z], axis=1)
+    return LongHandle(path, across * width * narrow, along * flat * np.maximum(narrow, 0.5), rng.choice([2.0, 2.8]))
 
 
 def _handle_path(

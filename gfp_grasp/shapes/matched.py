@@ -41,6 +41,23 @@ def stepped(curve: np.ndarray, count: int) -> np.ndarray:
     return np.stack([np.interp(at, length, column) for column in curve.T], axis=1)
 
 
+def space_discs(body: trimesh.Trimesh, num_rings: int, *, segments: int, floor: bool) -> None:
+    """Rings of the flat underside, and of the floor, farther apart where they are wider: even ones would be needles.
+
+    Args:
+        body: Mesh of `matched`, whose vertices are moved.
+        num_rings: Number of rings of the underside, and of the floor.
+        segments: Vertices of a ring.
+        floor: Whether the last rings are a floor.
+    """
+    grid = np.array(body.vertices[1:-1]).reshape(-1, segments, 3)
+    share = np.geomspace(1.0, 0.03, num_rings)[:, None, None]
+    grid[:num_rings, :, :2] = grid[num_rings - 1, :, :2] * share[::-1]
+    if floor:
+        grid[-num_rings:, :, :2] = grid[-num_rings, :, :2] * share
+    body.vertices = np.concatenate([body.vertices[:1], grid.reshape(-1, 3), body.vertices[-1:]])
+
+
 def cut(curve: np.ndarray, landmarks: ArrayLike) -> list[np.ndarray]:
     """The curve in pieces that end at its vertices nearest to the landmarks.
 

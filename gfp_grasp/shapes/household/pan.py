@@ -5,12 +5,17 @@ from __future__ import annotations
 import numpy as np
 
 from gfp_grasp.shapes.family import Family, Made, draw_kind
+from gfp_grasp.shapes.grafts import PATCH_ROWS, SEGMENTS, with_long_handle
 from gfp_grasp.shapes.handles import long_handle
 from gfp_grasp.shapes.household.cup import GRID, lip
-from gfp_grasp.shapes.loft import rounded_off, subtract, unite
+from gfp_grasp.shapes.loft import rounded_off
+from gfp_grasp.shapes.matched import space_discs
 from gfp_grasp.shapes.vessel import Vessel
 
 _KINDS = {"frying": 0.52, "skillet": 0.2, "wok": 0.15, "grill": 0.13}
+# Rings of a disc, and of the underside, of the side below, at and above the handle, of the rim, the inside, the floor.
+_DISC = 12
+_RINGS = (_DISC, 14, PATCH_ROWS, 5, 4, 16, _DISC)
 
 
 def _make(rng: np.random.Generator) -> Made:
@@ -21,15 +26,15 @@ def _make(rng: np.random.Generator) -> Made:
     along = rng.uniform(0.004, 0.0085)
     lowest = vessel.floor + along + 0.002
     at = max(tall - along - 0.003 - rng.uniform(0.0, 0.35) * tall, lowest)
-    handle = long_handle(
-        rng,
-        float(np.interp(at, vessel.height, vessel.radius)),
-        at,
-        length=rng.uniform(0.14, 0.16) if kind == "skillet" else rng.uniform(0.14, 0.235),
-        along=along,
-        across=rng.uniform(0.008, 0.0165),
-    )
-    return Made(unite([vessel.mesh(), subtract(handle, vessel.core(0.5))]), kind, vessel.wall)
+    length = rng.uniform(0.14, 0.16) if kind == "skillet" else rng.uniform(0.14, 0.235)
+    handle = long_handle(rng, length=length, along=along, across=rng.uniform(0.008, 0.0165))
+    # A pan does not stand on a handle that hangs down.
+    hangs = float((handle.along - handle.path[:, 2]).max())
+    at = max(at, min(hangs + 0.001, tall - along - 0.001))
+    body = vessel.matched_mesh(_RINGS, breaks_m=(at - handle.along[0], at + handle.along[0]))
+    space_discs(body, _DISC, segments=SEGMENTS, floor=True)
+    power = float(np.max(vessel.power))
+    return Made(with_long_handle(body, _RINGS, handle, power=power), kind, vessel.wall)
 
 
 def _vessel(rng: np.random.Generator, kind: str) -> Vessel:
@@ -51,9 +56,9 @@ def _vessel(rng: np.random.Generator, kind: str) -> Vessel:
     radius = radius - rounded_off(height, edge, edge)
     wall = rng.uniform(0.003, 0.006) if kind in ("skillet", "grill") else rng.uniform(0.0012, 0.0042)
     extra = lip(rng, height) if rng.random() < 0.35 else 0.0
-    power = rng.uniform(4.0, 8.0) if kind == "grill" else 2.0
+    power, size = (rng.uniform(4.0, 8.0), 0.92) if kind == "grill" else (2.0, 1.0)
     floor = wall * rng.uniform(1.0, 1.6)
-    return Vessel(height, radius * (0.92 if kind == "grill" else 1.0), wall, floor, extra, power=power, segments=64)
+    return Vessel(height, size * radius, wall, floor, extra, power=power, segments=SEGMENTS)
 
 
 PAN = Family(

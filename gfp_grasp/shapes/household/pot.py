@@ -6,18 +6,19 @@ import numpy as np
 import trimesh
 
 from gfp_grasp.shapes.family import Family, Made, draw_kind
-from gfp_grasp.shapes.grafts import PATCH_ROWS, SEGMENTS, with_ears
+from gfp_grasp.shapes.grafts import PATCH_ROWS, SEGMENTS, with_ears, with_long_handle
 from gfp_grasp.shapes.handles import long_handle
 from gfp_grasp.shapes.household.cup import GRID, lip
 from gfp_grasp.shapes.lids import knobbed
-from gfp_grasp.shapes.loft import rounded_off, rows, subtract, unite
-from gfp_grasp.shapes.matched import matched
+from gfp_grasp.shapes.loft import rounded_off, rows
+from gfp_grasp.shapes.matched import matched, space_discs
 from gfp_grasp.shapes.vessel import Vessel
 
 _KINDS = {"open": 0.68, "lidded": 0.18, "saucepan": 0.14}
 # Rings of a disc, as the underside and the floor are, and of the underside, of the side below, at and above the ears.
 _DISC = 12
 _SIDE = (_DISC, 18, PATCH_ROWS, 6)
+_RINGS = (*_SIDE, 5, 16, _DISC)
 _FIRST_ROW = _SIDE[0] + _SIDE[1] - 1
 # Between the ears or a handle and the rim.
 _BELOW_RIM_M = 0.004
@@ -29,8 +30,7 @@ def _make(rng: np.random.Generator) -> Made:
     height, radius = _side(rng, kind)
     if kind == "saucepan":
         vessel = _open(rng, height, radius, 1.0)
-        handle = subtract(_handle(rng, height, radius), vessel.core(0.5))
-        return Made(unite([vessel.mesh(), handle]), kind, vessel.wall)
+        return Made(_with_handle(rng, vessel), kind, vessel.wall)
     tall, half = float(height[-1]), float(radius.max())
     # Roasters and terrines are low and oval.
     oval = tall < 1.1 * half and rng.random() < 0.25
@@ -41,9 +41,7 @@ def _make(rng: np.random.Generator) -> Made:
     if kind == "lidded":
         return Made(_eared(rng, _closed(rng, height, radius, aspect, breaks), half * aspect, across), kind)
     vessel = _open(rng, height, radius, aspect)
-    body = vessel.matched_mesh((*_SIDE, 5, 16, _DISC), breaks_m=breaks)
-    _space_disc(body, floor=True)
-    return Made(_eared(rng, body, half * aspect, across), kind, vessel.wall)
+    return Made(_eared(rng, _body(vessel, breaks), half * aspect, across), kind, vessel.wall)
 
 
 def _side(rng: np.random.Generator, kind: str) -> tuple[np.ndarray, np.ndarray]:
@@ -65,6 +63,12 @@ def _open(rng: np.random.Generator, height: np.ndarray, radius: np.ndarray, aspe
     return Vessel(height, radius, float(wall), float(wall) * rng.uniform(1.0, 2.5), extra, aspect, segments=SEGMENTS)
 
 
+def _body(vessel: Vessel, breaks: tuple[float, float]) -> trimesh.Trimesh:
+    body = vessel.matched_mesh(_RINGS, breaks_m=breaks)
+    space_discs(body, _DISC, segments=SEGMENTS, floor=True)
+    return body
+
+
 def _closed(
     rng: np.random.Generator, height: np.ndarray, radius: np.ndarray, aspect: float, breaks: tuple[float, float]
 ) -> trimesh.Trimesh:
@@ -79,18 +83,8 @@ def _closed(
     lid = rows(cover[:, 0], cover[:, 1], aspect=np.where(cover[:, 0] > 1.8 * knob, aspect, 1.0))
     pieces = [np.concatenate([rows([1e-6], [0.0]), side[:1]]), *stretches, lid, rows(top[:, 0], top[:, 1])]
     body = matched(pieces, (*_SIDE, 17, 15), segments=SEGMENTS)
-    _space_disc(body, floor=False)
+    space_discs(body, _DISC, segments=SEGMENTS, floor=False)
     return body
-
-
-def _space_disc(body: trimesh.Trimesh, *, floor: bool) -> None:
-    """Rings of the flat underside, and of the floor, farther apart where they are wider: even ones would be needles."""
-    grid = np.array(body.vertices[1:-1]).reshape(-1, SEGMENTS, 3)
-    share = np.geomspace(1.0, 0.03, _DISC)[:, None, None]
-    grid[:_DISC, :, :2] = grid[_DISC - 1, :, :2] * share[::-1]
-    if floor:
-        grid[-_DISC:, :, :2] = grid[-_DISC, :, :2] * share
-    body.vertices = np.concatenate([body.vertices[:1], grid.reshape(-1, 3), body.vertices[-1:]])
 
 
 def _eared(rng: np.random.Generator, body: trimesh.Trimesh, depth: float, across: float) -> trimesh.Trimesh:
@@ -107,11 +101,12 @@ def _eared(rng: np.random.Generator, body: trimesh.Trimesh, depth: float, across
     )
 
 
-def _handle(rng: np.random.Generator, height: np.ndarray, radius: np.ndarray) -> trimesh.Trimesh:
-    along, tall = rng.uniform(0.004, 0.009), float(height[-1])
+def _with_handle(rng: np.random.Generator, vessel: Vessel) -> trimesh.Trimesh:
+    along, tall = rng.uniform(0.004, 0.009), float(vessel.height[-1])
     at = tall - along - _BELOW_RIM_M - rng.uniform(0.0, 0.25) * tall
-    side, length = float(np.interp(at, height, radius)), rng.uniform(0.13, 0.21)
-    return long_handle(rng, side, at, length=length, along=along, across=rng.uniform(0.009, 0.016))
+    handle = long_handle(rng, length=rng.uniform(0.13, 0.21), along=along, across=rng.uniform(0.009, 0.016))
+    body = _body(vessel, (at - handle.along[0], at + handle.along[0]))
+    return with_long_handle(body, _RINGS, handle)
 
 
 POT = Family(
