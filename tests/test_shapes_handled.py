@@ -5,12 +5,13 @@ import pytest
 import trimesh
 
 from gfp_grasp.shapes import make_shape
-from gfp_grasp.shapes.blocks import block
+from gfp_grasp.shapes.blocks import block, lattice, patch_of
 from gfp_grasp.shapes.grafts import PATCH_ROWS, SEGMENTS, with_long_handle
 from gfp_grasp.shapes.handles import LongHandle, half_loop, long_handle
 from gfp_grasp.shapes.lids import under_lid
 from gfp_grasp.shapes.loft import rows
 from gfp_grasp.shapes.matched import matched, space_discs
+from gfp_grasp.shapes.patches import with_cap
 from gfp_grasp.shapes.shape import Shape
 from gfp_grasp.shapes.spouts import drawn_out
 from gfp_grasp.shapes.vessel import Vessel
@@ -113,6 +114,50 @@ def test_a_gable_ends_in_a_thin_fin_along_x_in_the_middle():
         assert top[:, 1].mean() == pytest.approx(0.0, abs=1e-3), shape.name
 
 
+@pytest.mark.parametrize(("seed", "least", "most"), [(0, 0.009, 0.03), (14, 0.009, 0.03), (1, 0.0003, 0.0008)])
+def test_a_gable_is_the_same_on_both_sides_but_for_its_cap_or_seal_towards_plus_y(seed, least, most):
+    mesh = make_shape("carton", seed).mesh
+    height = np.linspace(0.02, 0.98, 200)[:, None] * mesh.bounds[1, 2]
+    reach = []
+    for side in (-1.0, 1.0):
+        start = np.hstack([np.full_like(height, 2e-4), np.full_like(height, side), height])
+        hits, ray, _ = mesh.ray.intersects_location(start, start * [0, -1, 0], multiple_hits=False)
+        reach.append(np.abs(hits[np.argsort(ray), 1]))
+    assert (reach[1] - reach[0]).min() > -1e-6
+    assert least < (reach[1] - reach[0]).max() < most
+
+
+def test_the_cap_or_seal_of_a_brick_is_on_its_top_towards_minus_x():
+    for shape in of_kinds("carton", "brick"):
+        top = shape.mesh.vertices[shape.mesh.vertices[:, 2] > shape.mesh.bounds[1, 2] - 1e-4]
+        assert -0.5 * shape.mesh.extents[0] < top[:, 0].mean() < 0, shape.name
+        assert top[:, 1].mean() == pytest.approx(0.0, abs=1e-4), shape.name
+
+
+def test_a_patch_of_a_lattice_goes_to_the_right_and_up_as_seen_from_outside():
+    mesh = lattice(np.array([0.0, 1, 3, 4]), np.array([0.0, 2, 5]), np.array([0.0, 1, 2, 7, 9]))
+    patch = mesh.vertices[patch_of(mesh, (1, 5, 1), (4, 5, 7))]
+    assert patch.shape == (3, 3, 3)
+    np.testing.assert_array_equal(patch[0], [[1, 5, 1], [1, 5, 2], [1, 5, 7]])
+    np.testing.assert_array_equal(patch[:, 2], [[1, 5, 7], [3, 5, 7], [4, 5, 7]])
+
+
+def test_a_cap_on_a_box_is_a_cone_of_the_radii_and_height_of_its_profile():
+    mesh = lattice(np.linspace(0, 0.1, 11), np.linspace(0, 0.2, 9), np.linspace(0, 0.06, 7))
+    at, profile = (0.03, 0.2, 0.04), np.array([[0.015, 0.0], [0.01, 0.03], [0.0, 0.03]])
+    capped = with_cap(mesh, patch_of(mesh, (0, 0.2, 0), (0.1, 0.2, 0.06)), at, profile)
+    assert capped.is_volume
+    assert capped.euler_number == 2
+    np.testing.assert_allclose(capped.bounds, [[0, 0, 0], [0.1, 0.23, 0.06]], atol=1e-12)
+    out = capped.vertices[:, 1] > 0.2 + 1e-9
+    np.testing.assert_allclose(capped.vertices[out][-1], [0.03, 0.23, 0.04], atol=1e-12)
+    np.testing.assert_allclose(np.hypot(*(capped.vertices[out][:-1] - at)[:, [0, 2]].T), 0.01, atol=1e-12)
+    foot = capped.vertices[~out][-32:]
+    np.testing.assert_allclose(np.linalg.norm(foot - at, axis=1), 0.015, atol=1e-12)
+    cone = np.pi * 0.03 / 3 * (0.015**2 + 0.015 * 0.01 + 0.01**2)
+    assert capped.volume - mesh.volume == pytest.approx(cone, rel=0.01)
+
+
 def test_a_sprayer_points_towards_plus_x_at_its_top_and_its_trigger_hangs_free():
     for shape in of_kinds("spray_bottle", count=NUM_SEEDS):
         tip = shape.mesh.vertices[shape.mesh.vertices[:, 0].argmax()]
@@ -166,6 +211,8 @@ def test_a_drawn_out_rim_moves_at_minus_x_only_and_leaves_what_is_within():
         ("pot", ["lidded"] * 4),
         ("pot", ["saucepan"] * 4),
         ("pan", ["frying", "skillet", "wok", "grill"]),
+        ("carton", ["gable"] * 4),
+        ("carton", ["brick"] * 4),
     ],
 )
 def test_members_are_one_mesh_whose_vertices_correspond(family, kinds):
@@ -173,7 +220,7 @@ def test_members_are_one_mesh_whose_vertices_correspond(family, kinds):
     tip = int(first.mesh.vertices[:, 0].argmax())
     for other in others:
         np.testing.assert_array_equal(other.mesh.faces, first.mesh.faces)
-        # The outermost vertex of one ear or handle is at the outer edge of it on all of them.
+        # The outermost vertex of one ear, handle or side is at the outer edge of it on all of them.
         assert other.mesh.vertices[tip, 0] > 0.97 * other.mesh.bounds[1, 0], other.name
 
 

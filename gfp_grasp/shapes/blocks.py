@@ -8,6 +8,7 @@ from numpy.typing import ArrayLike
 
 _ARC_STEPS = 3  # grid lines of a rounded edge, up to half of its turn
 _LINES = 11  # grid lines of a side between its rounded edges
+_CLOSE_M = 1e-9  # what rounding errors may move a grid line
 
 
 def block(size: ArrayLike, rounding: float) -> trimesh.Trimesh:
@@ -44,6 +45,25 @@ def lattice(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> trimesh.Trimesh:
             quads = quads if (axis == 1) != (end == -1) else quads[:, ::-1]
             faces += [quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]]
     return trimesh.Trimesh(vertices, np.concatenate(faces), process=False)
+
+
+def patch_of(mesh: trimesh.Trimesh, low: ArrayLike, high: ArrayLike) -> np.ndarray:
+    """The vertices of a lattice within a rectangle of the side at its largest x, y or z.
+
+    Args:
+        mesh: Made by `lattice` or `block`, and not bent yet.
+        low: (3,) m, smallest coordinates of the rectangle.
+        high: (3,) m, its largest ones; the one across the side is that of `low`.
+
+    Returns:
+        (r, c) numbers of vertices; seen from outside, the columns go to the right and the rows up.
+    """
+    low, high = np.asarray(low), np.asarray(high)
+    within = (mesh.vertices > low - _CLOSE_M) & (mesh.vertices < high + _CLOSE_M)
+    numbers = np.flatnonzero(within.all(axis=1))
+    across = int((high - low).argmin())
+    right, up = (mesh.vertices[numbers, (across + turn) % 3].round(9) for turn in (1, 2))
+    return numbers[np.lexsort((right, up))].reshape(len(np.unique(up)), -1)
 
 
 def _lines(half: float, rounding: float) -> np.ndarray:

@@ -1,7 +1,7 @@
 """Tubes that grow out of a body of rings, without a boolean: members of equal counts have equal faces.
 
-A patch of the body's grid is left out wherever a tube meets the body, and the tube begins or ends with the patch's
-outline. Columns crowd about the patches, so that these are as wide as the tube.
+A tube begins or ends with the outline of a patch of the body's grid. Columns crowd about the patches, so that these are
+as wide as the tube.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import trimesh
 from numpy.typing import ArrayLike
 
 from gfp_grasp.shapes.handles import LongHandle, even_path, half_loop
-from gfp_grasp.shapes.loft import ring_faces
+from gfp_grasp.shapes.patches import between, numbered, of_used, outline, section_of, with_closed_tube, without
 
 SEGMENTS = 72
 PATCH_ROWS = 3
@@ -61,16 +61,17 @@ def with_ears(
     middle = float(grid[first_row : first_row + PATCH_ROWS + 1, 0, 2].mean())
     loop = _loop(root, wide - root, half, middle, reach, power, rise)
     level = np.gradient(loop, axis=0) * [1, 1, 0]
-    tube = _tube(loop, level, along, across, _section(_EAR_COLUMNS, 2.6))
+    tube = _tube(loop, level, along, across, section_of(_patch(first_row, 0, _EAR_COLUMNS), 2.6))
     # Columns in the middle of the patches where the ears begin and end.
     middles = np.array([-1, 1]) * (first + last) / 2
-    middles = np.concatenate([middles, middles + SEGMENTS / 2])
-    faces = [_without_patches(len(grid), first_row, middles, _EAR_COLUMNS)]
-    for (begin, end), turn in zip(middles.reshape(2, 2), ([1, 1, 1], [-1, -1, 1]), strict=True):
-        ends = _outline(first_row, begin, _EAR_COLUMNS), _outline(first_row, end, _EAR_COLUMNS, from_behind=True)
-        faces.append(_between(np.stack([ends[0], *_numbers(len(vertices), tube), ends[1]])))
+    patches = [_patch(first_row, column, _EAR_COLUMNS) for column in (*middles, *(middles + SEGMENTS / 2))]
+    faces = [without(body.faces, *patches)]
+    for begin, end, turn in ((*patches[:2], [1, 1, 1]), (*patches[2:], [-1, -1, 1])):
+        # Seen from behind, as where a tube ends, what was left is right.
+        ends = outline(begin), outline(end[:, ::-1])
+        faces.append(between(np.stack([ends[0], *numbered(len(vertices), tube), ends[1]])))
         vertices = np.concatenate([vertices, (tube * turn).reshape(-1, 3)])
-    return _used(vertices, faces)
+    return of_used(vertices, faces)
 
 
 def with_long_handle(
@@ -94,13 +95,10 @@ def with_long_handle(
     vertices = _respaced(body, _crowded(spread, crowd), power)
     path = middle[0] + handle.path
     tangent = np.gradient(path, axis=0)
-    tube = _tube(path, tangent, handle.across, handle.along, _section(_HANDLE_COLUMNS, handle.power))
-    outline = _outline(first_row, 0, _HANDLE_COLUMNS)
-    tube += _towards(vertices[outline] - tube[0], handle.path[:, 0] / handle.path[-1, 0], tangent)
-    rings = np.stack([outline, *_numbers(len(vertices), tube[1:])])
-    vertices = np.concatenate([vertices, tube[1:].reshape(-1, 3), path[-1:]])
-    cap = np.stack([rings[-1], np.roll(rings[-1], -1), np.full(len(outline), len(vertices) - 1)], axis=1)
-    return _used(vertices, [_without_patches(len(crowd), first_row, [0], _HANDLE_COLUMNS), _between(rings), cap])
+    patch = _patch(first_row, 0, _HANDLE_COLUMNS)
+    tube = _tube(path, tangent, handle.across, handle.along, section_of(patch, handle.power))
+    tube += _towards(vertices[outline(patch)] - tube[0], handle.path[:, 0] / handle.path[-1, 0], tangent)
+    return with_closed_tube(vertices, body.faces, patch, tube[1:], path[-1])
 
 
 def _grid(body: trimesh.Trimesh) -> np.ndarray:
@@ -162,29 +160,11 @@ def _loop(root: float, bulge: float, half: float, height: float, reach: float, p
     return np.stack([root + path[:, 0], path[:, 2], height + rise * path[:, 0]], axis=1)
 
 
-def _square(num_columns: int) -> np.ndarray:
-    """Places (k, 2) of the vertices of a patch's outline within -1 .. 1, turning left."""
-    u, v = np.linspace(-1, 1, num_columns + 1), np.linspace(-1, 1, PATCH_ROWS + 1)
-    sides = [(u[:-1], -1), (1, v[:-1]), (u[:0:-1], 1), (-1, v[:0:-1])]
-    return np.concatenate([np.stack(np.broadcast_arrays(*side), axis=1) for side in sides])
-
-
-def _section(num_columns: int, power: float) -> np.ndarray:
-    """Places (k, 2) of the vertices of a superellipse within -1 .. 1, one for each of a patch's outline."""
-    corner = np.pi / 2 * PATCH_ROWS / (PATCH_ROWS + num_columns)
-    toward = _square(num_columns) * [1, np.tan(corner)]
-    return toward / (np.abs(toward) ** power).sum(axis=1, keepdims=True) ** (1 / power)
-
-
-def _outline(first_row: int, middle: float, num_columns: int, *, from_behind: bool = False) -> np.ndarray:
-    """Numbers (k,) of the body's vertices around the patch about a column, turning left as seen from the tube.
-
-    Seen from behind, as where a tube ends, what was left is right.
-    """
-    u, v = _square(num_columns).T
-    column = np.rint(middle + (-u if from_behind else u) * num_columns / 2).astype(int)
-    row = first_row + np.rint((v + 1) * PATCH_ROWS / 2).astype(int)
-    return 1 + row * SEGMENTS + column % SEGMENTS
+def _patch(first_row: int, middle: float, num_columns: int) -> np.ndarray:
+    """The patch (PATCH_ROWS + 1, num_columns + 1) of the body about a column."""
+    column = np.rint(middle + np.linspace(-1, 1, num_columns + 1) * num_columns / 2).astype(int)
+    row = first_row + np.arange(PATCH_ROWS + 1)
+    return 1 + row[:, None] * SEGMENTS + column % SEGMENTS
 
 
 def _tube(path: np.ndarray, tangent: np.ndarray, aside: ArrayLike, up: ArrayLike, section: np.ndarray) -> np.ndarray:
@@ -202,31 +182,3 @@ def _tube(path: np.ndarray, tangent: np.ndarray, aside: ArrayLike, up: ArrayLike
     axes = np.stack([to_side, upward], axis=1) / np.linalg.norm([to_side, upward], axis=2).T[:, :, None]
     half = np.stack(np.broadcast_arrays(aside, up, path[:, 0])[:2], axis=1)
     return path[:, None] + np.einsum("kc,ncd->nkd", section, half[:, :, None] * axes)
-
-
-def _numbers(first: int, tube: np.ndarray) -> np.ndarray:
-    """Numbers (n, k) of the vertices of a tube that are added behind so many others."""
-    return first + np.arange(tube.shape[0] * tube.shape[1]).reshape(tube.shape[:2])
-
-
-def _between(rings: np.ndarray) -> np.ndarray:
-    """Faces between rings (n, k) of vertex numbers that turn left about the way they go."""
-    here, there = rings[:-1], np.roll(rings, -1, axis=1)[:-1]
-    up, over = rings[1:], np.roll(rings, -1, axis=1)[1:]
-    quads = np.stack([here, there, over, up], axis=2).reshape(-1, 4)
-    return np.concatenate([quads[:, [0, 1, 2]], quads[:, [0, 2, 3]]])
-
-
-def _without_patches(num_rings: int, first_row: int, middles: ArrayLike, num_columns: int) -> np.ndarray:
-    """Faces of the body without the patches about some columns."""
-    columns = np.asarray(middles)[:, None] - num_columns / 2 + np.arange(num_columns)
-    rows = first_row + np.arange(PATCH_ROWS)
-    quads = (rows[:, None] * SEGMENTS + columns.ravel().astype(int) % SEGMENTS).ravel()
-    gone = SEGMENTS + np.concatenate([quads, quads + (num_rings - 1) * SEGMENTS])
-    return np.delete(ring_faces(num_rings, SEGMENTS), gone, axis=0)
-
-
-def _used(vertices: np.ndarray, faces: Sequence[np.ndarray]) -> trimesh.Trimesh:
-    """The mesh of these faces without the vertices that none of them has, such as those within a patch."""
-    used, renumbered = np.unique(np.concatenate(faces), return_inverse=True)
-    return trimesh.Trimesh(vertices[used], renumbered.reshape(-1, 3), process=False)
