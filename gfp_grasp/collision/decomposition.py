@@ -30,7 +30,8 @@ from gfp_grasp.meshes import check_mesh, make_solid
 from gfp_grasp.types import CollisionMesh, ConvexPart
 
 # CoACD's thresholds for a template. A mug's mean has 121 parts at 0.02, which miss it by 0.2 mm on average; a bottle's
-# has too few at that, but a carton's ten miss it by 0.09 mm, and at 0.01 CoACD is at work for a quarter of an hour.
+# has too few at that. What is nearly a block has ten that miss it by 0.09 mm, and at 0.01 CoACD may be at work for a
+# quarter of an hour.
 _LEVEL_THRESHOLDS = (0.02, 0.01)
 _FEWEST_PARTS = 32
 _CLOSE = 0.0005  # mean error, as a share of the diagonal, that fewer parts may have
