@@ -5,7 +5,7 @@ import pytest
 import trimesh
 
 from gfp_grasp.camera import SensorModel, apply_sensor, intrinsics, render_mesh_view
-from gfp_grasp.detect import DetectConfig, detect_objects
+from gfp_grasp.detect import DetectConfig, detect_objects, detect_single
 from gfp_grasp.detect.clusters import label_picture
 from gfp_grasp.detect.tables import Table, find_table, keep_on_table, noise_growth
 from gfp_grasp.errors import NothingDetected
@@ -83,6 +83,27 @@ def test_the_plane_on_which_more_is_seen_is_the_support() -> None:
     assert floor.best is not None
     assert floor.best.plane.height_m == pytest.approx(0.0, abs=0.01)
     assert floor.num_planes >= 2
+
+
+def test_the_flat_lid_of_a_thing_is_not_what_it_stands_on() -> None:
+    turn = np.linspace(0, 2 * np.pi, 40, endpoint=False)
+    circle = np.column_stack([np.cos(turn), np.sin(turn), 0 * turn])
+    pot = trimesh.convex.convex_hull(
+        np.concatenate([0.08 * circle + [0, 0, TOP_M], 0.17 * circle + [0, 0, TOP_M + 0.24]])
+    )
+    knob, table = box((0.05, 0.04, 0.05), (0.02, 0.01, TOP_M + 0.24)), box((0.5, 0.4, 0.03), (0.0, 0.0, TOP_M - 0.03))
+    image = seen([pot, knob, table], eye=(0.3, -0.5, TOP_M + 0.5), target=(0.0, 0.0, TOP_M + 0.15))
+    points = image.points().reshape(-1, 3)
+    thing = points[points[:, 2] > TOP_M + 0.01]
+    alone = find_table(image, UP, sensor=TABLETOP).best
+    assert alone is not None
+    assert alone.plane.height_m == pytest.approx(TOP_M + 0.24, abs=0.005)
+    under = find_table(image, UP, sensor=TABLETOP, thing=thing).best
+    assert under is not None
+    assert under.plane.height_m == pytest.approx(TOP_M, abs=0.003)
+    detection = detect_single(thing, view=image, config=DetectConfig(classify=False))
+    assert detection.support is not None
+    assert detection.support.height_m == pytest.approx(TOP_M, abs=0.003)
 
 
 def test_an_empty_table_and_a_wall_alone_are_refused_with_the_number_of_their_planes() -> None:

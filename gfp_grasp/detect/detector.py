@@ -70,9 +70,11 @@ def detect_objects(
     return _detect_in_points(image, up, config)
 
 
-def picture_support(image: DepthImage, up: np.ndarray | None, config: DetectConfig) -> SupportPlane | None:
-    """Plane of a depth picture that things stand on, world frame; see `find_table`."""
-    table = find_table(image, up, sensor=config.sensor).best
+def picture_support(
+    image: DepthImage, up: np.ndarray | None, config: DetectConfig, *, thing: np.ndarray
+) -> SupportPlane | None:
+    """Plane of a depth picture that the points (n, 3) m of a thing stand on, world frame; see `find_table`."""
+    table = find_table(image, up, sensor=config.sensor, thing=thing).best
     return None if table is None else table.plane
 
 

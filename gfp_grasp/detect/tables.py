@@ -35,6 +35,7 @@ _FITTED = 15_000  # points that a plane is fitted to,
 _ROUNDS = 20  # at most so often
 _FACING_DEG = 20.0  # between a plane and the surface of what lies on it
 _MOST_PLANES = 6
+_BELOW = 0.2  # share of a thing's points that no support has below it
 _LEAST_SHARE = 0.02  # of the points that lie on a plane
 _MOST_ROLL = 0.8  # cosine of a plane's normal with the camera's rows from which on it is a wall
 _OVERHEAD = -0.2  # cosine of a plane's normal with the camera's up below which it is a ceiling
@@ -105,13 +106,16 @@ def noise_at(points: np.ndarray, viewpoint: np.ndarray, sensor: SensorProfile) -
     return sensor.sigma_m * float(noise_growth(np.asarray(range_m)))
 
 
-def find_table(image: DepthImage, up: np.ndarray | None, *, sensor: SensorProfile) -> Tables:
+def find_table(
+    image: DepthImage, up: np.ndarray | None, *, sensor: SensorProfile, thing: np.ndarray | None = None
+) -> Tables:
     """The plane that the objects of a picture stand on.
 
     Args:
         image: The picture.
         up: (3,) roughly the plane's normal, world frame; None takes any that the camera may look at from above.
         sensor: Its noise and sizes are the units of all thresholds.
+        thing: (n, 3) m, points of what stands on it: a plane with a share of them below is the thing's own, a lid.
     """
     points, normals = _points_and_normals(image)
     known = np.asarray(np.isfinite(points).all(axis=2))
@@ -135,6 +139,8 @@ def find_table(image: DepthImage, up: np.ndarray | None, *, sensor: SensorProfil
         count += 1
         free &= ~close  # noise tilts the normals of some of its surface, which is no other plane
         if up is None and (plane.normal @ camera_up < _OVERHEAD or abs(plane.normal @ aside) > _MOST_ROLL):
+            continue
+        if thing is not None and np.quantile(plane.distances(thing), _BELOW) < -slab_m[near].max():
             continue
         table, standing = _what_stands(plane, near, points, whole, slab_m, sensor)
         if table is not None and standing > most:
