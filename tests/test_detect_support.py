@@ -121,3 +121,16 @@ def test_without_up_and_viewpoint_the_frame_is_a_cameras() -> None:
     assert plane is not None
     np.testing.assert_allclose(plane.normal, T_camera_table[:3, 2], atol=1e-9)
     assert plane.normal[1] < 0
+
+
+def test_a_lid_that_its_pot_goes_on_below_is_no_table_and_one_beside_a_floor_is() -> None:
+    lid, knob = _grid((-0.1, -0.08), (0.11, 0.09)) + 0.2 * UP, _walls((0.0, 0.0), (0.03, 0.04), (0.21, 0.25))
+    pot = _walls((-0.12, -0.1), (0.13, 0.11), (0.0, 0.19))
+    assert find_support(np.vstack([lid, knob, pot]), UP) is None
+    table = find_support(np.vstack([lid, knob]), UP)
+    assert table is not None
+    assert table.height_m == pytest.approx(0.2, abs=1e-9)
+    floor = _grid((0.11, -0.2), (0.25, 0.2)) - 0.5 * UP  # three quarters as many points as the lid has
+    table = find_support(np.vstack([lid, knob, floor]), UP)
+    assert table is not None
+    assert table.height_m == pytest.approx(0.2, abs=1e-9)
