@@ -206,14 +206,15 @@ def _support_score(plane: SupportPlane, sample: np.ndarray, sigma_m: float, min_
     outline = _outline(ground[on])
     if outline is None:
         return 0.0
-    inside = _within(outline, ground, margin_m=_OUTLINE * sigma_m)
+    aside_m = beyond_m(ground, outline.equations)
+    inside = aside_m <= _OUTLINE * sigma_m
     above = inside & (distances > 2 * inlier_m)
     below = inside & (distances < -2 * inlier_m)
     num_above = int(above.sum())
     if num_above < 20 or below.sum() > _MAX_BELOW * (num_above + on.sum()):
         return 0.0
     # A lid's pot goes on below its rim, about as far out; the floor about a table is seen beside it, not right below.
-    skirt = _within(outline, ground, margin_m=_RIM * outline.volume**0.5) & (distances < -2 * inlier_m)
+    skirt = (aside_m <= _RIM * outline.volume**0.5) & (distances < -2 * inlier_m)
     if skirt.sum() > _MOST_SKIRT * (num_above + on.sum()):
         return 0.0
     # What stands on a table is within its outline, and the table goes on beyond it.
@@ -244,5 +245,6 @@ def _outline(ground: np.ndarray) -> ConvexHull | None:
         return None
 
 
-def _within(outline: ConvexHull, ground: np.ndarray, *, margin_m: float) -> np.ndarray:
-    return np.all(ground @ outline.equations[:, :2].T + outline.equations[:, 2] <= margin_m, axis=1)
+def beyond_m(ground: np.ndarray, outline: np.ndarray) -> np.ndarray:
+    """(...,) m, how far points (..., 2) on the ground are beyond an outline of half-planes (k, 3)."""
+    return (ground @ outline[:, :2].T + outline[:, 2]).max(axis=-1)

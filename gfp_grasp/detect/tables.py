@@ -13,7 +13,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import ConvexHull, QhullError
 
-from gfp_grasp.detect.support import MAX_TILT_DEG
+from gfp_grasp.detect.support import MAX_TILT_DEG, beyond_m
 from gfp_grasp.transforms import cross, rotation_between
 from gfp_grasp.types import DepthImage, SensorProfile, SupportPlane
 
@@ -66,12 +66,7 @@ class Table:
 
     def beyond_m(self, points: np.ndarray) -> np.ndarray:
         """(...,) how far points (..., 3) m, world, are beyond the outline on the ground; negative within it."""
-        return _beyond_m(points @ rotation_between(self.plane.normal, (0.0, 0.0, 1.0)).T, self.outline)
-
-
-def _beyond_m(level: np.ndarray, outline: np.ndarray) -> np.ndarray:
-    """(...,) m, how far level points (..., 3) are beyond an outline of half-planes (k, 3)."""
-    return (level[..., :2] @ outline[:, :2].T + outline[:, 2]).max(axis=-1)
+        return beyond_m(points @ rotation_between(self.plane.normal, (0.0, 0.0, 1.0))[:2].T, self.outline)
 
 
 @dataclass(frozen=True, eq=False)
@@ -269,7 +264,7 @@ def _standing_px(
         sensor: Its noise and sizes are the units of all thresholds.
     """
     above = above.copy()
-    above[above] = _beyond_m(level[above], table.outline) <= table.margin_m
+    above[above] = beyond_m(level[above][:, :2], table.outline) <= table.margin_m
     bodies, _ = _pieces(above)
     standing = 0.0
     for index, window in enumerate(ndimage.find_objects(bodies), start=1):
