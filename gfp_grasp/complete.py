@@ -30,7 +30,7 @@ from gfp_grasp.meshes import crossing_faces
 from gfp_grasp.parallel import one_thread
 from gfp_grasp.plugins import DEFAULT_DETECTOR
 from gfp_grasp.primitives import PrimitiveLibrary
-from gfp_grasp.recognition import SURE_SCORE, candidate_primitives, recognise, sureness
+from gfp_grasp.recognition import SURE_SCORE, candidate_primitives, likeliest, recognise, sureness
 from gfp_grasp.register import FitConfig, fit_best, part_is_seen
 from gfp_grasp.transforms import apply_T, invert_T
 from gfp_grasp.types import (
@@ -255,8 +255,8 @@ def _complete(
     clock = _Clock(timings_s)
     detection = recognise(detection, config.library)
     if sureness(detection.scores, config.library) < SURE_SCORE:
-        scores = ", ".join(f"{name} {score:.2f}" for name, score in detection.scores.items())
-        warnings.warn(f"no known class is likely ({scores}); the best is completed all the same", stacklevel=4)
+        told = ", ".join(f"{name} {score:.2f}" for name, score in likeliest(detection.scores, 3))
+        warnings.warn(f"no known class is likely ({told}); the best is completed all the same", stacklevel=4)
     clock.lap("detect")
     # Everything below runs in a frame tied to the object and the viewer, so that the answer moves with its input.
     view = make_level_view(detection, seed=seed)

@@ -88,6 +88,7 @@ def make_level_view(detection: Detection, *, seed: int = 0) -> LevelView:
         silhouette=silhouette,
         sensor=sensor,
         sigma_m=detection.sensor_sigma_m,
+        proposal=None if detection.proposal is None else detection.proposal.moved(T_level_world),
     )
 
 
@@ -112,6 +113,7 @@ def move_detection(detection: Detection, T: np.ndarray) -> Detection:
         support=None if detection.support is None else move_support(detection.support, T),
         box=OrientedBox(T @ detection.box.T_world_box, detection.box.extents),
         view=None if view is None else view.moved(T),
+        proposal=None if detection.proposal is None else detection.proposal.moved(T),
     )
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,12 +17,19 @@ _LEAST_SCORE = 1e-6
 
 
 def recognise(detection: Detection, library: PrimitiveLibrary) -> Detection:
-    """The detection with the scores of a library's classes; as it is where its class is given or known."""
+    """The detection with what one look at it proposes, and with the scores of a library's classes.
+
+    What is given or known stays as it is.
+    """
+    from gfp_grasp.detect import look, scores_in  # torch is loaded where it is needed only
+
+    cloud, proposal = detection.cloud, detection.proposal
+    if proposal is None:
+        proposal = look(cloud.points, detection.up, detection.support, viewpoint=cloud.viewpoint)
+        detection = replace(detection, proposal=proposal)
     if detection.scores or detection.category:
         return detection
-    from gfp_grasp.detect import classify  # torch is loaded where it is needed only
-
-    scores = classify(detection.cloud.points, detection.up, detection.support, library=library)
+    scores = scores_in(proposal.embedding, library)
     return replace(detection, category=max(scores, key=lambda name: scores[name]), scores=scores)
 
 
@@ -34,6 +41,11 @@ def sureness(scores: Mapping[str, float], library: PrimitiveLibrary) -> float:
     return max([*scores.values(), *together]) if scores else 1.0
 
 
+def likeliest(scores: Mapping[str, float], count: int) -> list[tuple[str, float]]:
+    """The classes of the highest scores, highest first, each with its score."""
+    return sorted(scores.items(), key=lambda item: -item[1])[:count]
+
+
 def candidate_primitives(
     detection: Detection, library: PrimitiveLibrary, *, rival_share: float, subcategories: bool
 ) -> list[tuple[GenericPrimitive, float]]:
@@ -42,15 +54,29 @@ def candidate_primitives(
     Args:
         detection: With its class or its scores.
         library: The classes that there are.
-        rival_share: A class takes part whose score is at least this share of the best class's.
+        rival_share: A primitive takes part whose probability is at least this share of the best one's.
         subcategories: Whether the subcategories of a class take part too.
     """
     scores = {name: score for name, score in detection.scores.items() if name in library.categories}
-    least = rival_share * max(scores.values(), default=0.0)
-    names = sorted((n for n, score in scores.items() if score >= least), key=lambda n: -scores[n])
-    candidates = []
-    for name in names or [detection.category]:
-        odds = -np.log(max(scores.get(name, 1.0), _LEAST_SCORE))
+    best = max(scores.values(), default=0.0)
+    found = []
+    for name in [name for name, score in scores.items() if score >= rival_share * best] or [detection.category]:
+        score = scores.get(name, 1.0)
         primitives = library.members_of(name) if subcategories else (library.primitive(name),)
-        candidates += [(primitive, odds + primitive.spec.cost) for primitive in primitives]
-    return candidates
+        shares = _shares(detection, primitives)
+        for primitive in primitives:
+            share = shares.get(primitive.name, 1.0)
+            cost = -np.log(max(share, _LEAST_SCORE)) if shares else primitive.spec.cost
+            found.append((primitive, cost - np.log(max(score, _LEAST_SCORE)), score * share))
+    least = rival_share * max(likely for _, _, likely in found)
+    kept = [(primitive, float(odds)) for primitive, odds, likely in found if likely >= least]
+    return sorted(kept, key=lambda candidate: candidate[1])
+
+
+def _shares(detection: Detection, primitives: Sequence[GenericPrimitive]) -> dict[str, float]:
+    """Probability of each of a class's primitives within it; empty where nobody has looked, or there is one alone."""
+    if detection.proposal is None or len(primitives) == 1:
+        return {}
+    from gfp_grasp.detect import shares_in  # torch is loaded where it is needed only
+
+    return shares_in(detection.proposal.embedding, primitives)

@@ -76,10 +76,11 @@ def completion_row(view: int, **fields: object) -> CompletionRow:
 
 
 def test_a_summary_has_means_medians_and_counts():
+    right = {"class_right": True}
     rows = [
-        completion_row(0, cd_m=0.002, ms=10.0, scale_error=-0.2, class_found="cup", iou=0.8, f_score=0.9),
-        completion_row(1, cd_m=0.004, ms=30.0, scale_error=0.1, class_found="mug", iou=0.6, f_score=0.7),
-        completion_row(2, cd_m=0.012, ms=20.0, scale_error=0.4, class_found="cup"),
+        completion_row(0, cd_m=0.002, ms=10.0, scale_error=-0.2, class_found="cup", iou=0.8, f_score=0.9, **right),
+        completion_row(1, cd_m=0.004, ms=30.0, scale_error=0.1, class_found="mug", iou=0.6, f_score=0.7, **right),
+        completion_row(2, cd_m=0.012, ms=20.0, scale_error=0.4, class_found="jar", class_right=False),
         completion_row(3, cd_m=None, ms=100.0, f_score=0.0, error="FitDiverged"),
     ]
     figures = summarise(rows)
@@ -88,7 +89,8 @@ def test_a_summary_has_means_medians_and_counts():
     assert figures["f_score"] == pytest.approx((0.9 + 0.7 + 0.5 + 0.0) / 4)
     assert figures["iou"] == pytest.approx(0.7)
     assert figures["scale_error_median"] == pytest.approx(0.2)
-    assert figures["class_found"] == pytest.approx(2 / 3, abs=1e-4)
+    assert figures["class_found"] == pytest.approx(1 / 3, abs=1e-4)
+    assert figures["class_right"] == pytest.approx(2 / 3, abs=1e-4)
     assert figures["ms"] == 25.0
     assert figures["ms_p95"] == pytest.approx(89.5)
     assert (figures["views"], figures["failed"]) == (4, 1)

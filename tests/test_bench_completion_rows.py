@@ -17,7 +17,7 @@ from gfp_grasp.bench.completion import CompletionConfig, bench_completion
 from gfp_grasp.bench.methods import Answer, ObjectView
 from gfp_grasp.errors import FitDiverged, InvalidOption
 from gfp_grasp.meshes import sample_surface
-from gfp_grasp.types import PointCloud
+from gfp_grasp.types import CategorySpec, OptionalPart, PointCloud
 
 METHODS = ("partial", "told-icp", "registration", "gfs", "gfpnet")
 VIEWPOINT = np.array([1.0, 0.6, 0.9])
@@ -272,3 +272,10 @@ def test_no_view_is_refused():
     with pytest.raises(InvalidOption, match="views is 0"):
         CompletionConfig(views=0)
     assert CompletionConfig(views=1).gps == ""
+
+
+def test_what_has_a_part_that_tells_its_class_is_right_under_its_own_name_alone():
+    known: dict[str, Any] = {"size_range_m": ((0.05, 0.05, 0.1), (0.1, 0.1, 0.2)), "alike": ("mug", "glass")}
+    assert completion._right_classes(CategorySpec("cup", **known)) == {"cup", "mug", "glass"}
+    told = CategorySpec("pitcher", **known, optional_parts=(OptionalPart("handle"),))
+    assert completion._right_classes(told) == {"pitcher"}

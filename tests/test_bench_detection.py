@@ -14,6 +14,8 @@ from gfp_grasp.errors import NothingDetected
 from gfp_grasp.train import Example
 from gfp_grasp.types import DepthImage
 
+EYE = np.array([0.3, 0.4, 0.5])
+
 
 @dataclass
 class Found:
@@ -87,19 +89,21 @@ def example(
     points = np.zeros((5, 3))
     points[:, 2] = [0.0, 0.005, 0.007, 0.1, 0.2]
     points[2:, 0] = ("cup", "mug", "bottle").index(says)
-    return Example(points, category, "", answers, accepted, resting)
+    return Example(points, EYE, category, "", answers, accepted, resting, None)
 
 
 @pytest.fixture
 def classified(monkeypatch) -> list:
     asked = []
 
-    def classify(points, up, support):
-        asked.append((points, up, support))
+    def classify(points, up, support, *, viewpoint):
+        asked.append((points, up, support, viewpoint))
         named = ("cup", "mug", "bottle")[int(points[0, 0])]
         return {"cup": 0.2, "mug": 0.1, "bottle": 0.15, named: 0.6}
 
+    three = SimpleNamespace(categories=("bottle", "cup", "mug"))
     monkeypatch.setattr(detection, "classify", classify)
+    monkeypatch.setattr(detection, "PrimitiveLibrary", SimpleNamespace(shipped=lambda: three))
     return asked
 
 
@@ -119,14 +123,16 @@ def test_views_are_counted_by_true_and_by_named_class(classified):
         "views": 6,
         "accuracy": 0.8333,
         "accuracy_named_as_taught": 0.6667,
+        "calibration": [{"from": 0.5, "views": 6, "mean_score": 0.6, "right": 0.8333}],
         "confusion_rows_true": {"bottle": [1, 0, 1], "cup": [0, 1, 1], "mug": [0, 0, 1]},
-        "part_out_of_sight": {"mug": [0, 1, 0]},
+        "several_right": {"mug": [0, 1, 0]},
         "columns_named": ["bottle", "cup", "mug"],
     }
-    points, up, support = classified[0]
+    points, up, support, viewpoint = classified[0]
     assert points[:, 2].tolist() == [0.007, 0.1, 0.2]  # what lies within 6 mm of the table belongs to it
     assert up.tolist() == support.normal.tolist() == [0.0, 0.0, 1.0]
     assert support.height_m == 0.0
+    assert viewpoint is EYE
 
 
 def test_the_whole_bench_has_found_objects_captures_and_views(table, classified, monkeypatch):
@@ -140,8 +146,8 @@ def test_the_whole_bench_has_found_objects_captures_and_views(table, classified,
         name = which[0]
         return [example(name, (name,), (name,), "cup"), example(name, (name,), (name,), name, "lying")]
 
-    def assorted(kinds, **how):
-        asked["assorted"].append((kinds, how))
+    def assorted(*which, **how):
+        asked["assorted"].append((which, how))
         return [example("knife", (), (), "cup")] * 2
 
     def matched(sets):
@@ -171,16 +177,13 @@ def test_the_whole_bench_has_found_objects_captures_and_views(table, classified,
     }
     assert (views["views"], views["accuracy"]) == (6, 0.6667)
     assert (upright["views"], upright["accuracy"]) == (3, 0.3333)
-    how = {"num_views": 5, "workers": 2, "folder": table / "cache"}
-    assert asked["class"] == [
-        (("bottle", "test"), {**how, "alike": ()}),
-        (("cup", "test"), {**how, "alike": ("mug",)}),
-        (("mug", "test"), {**how, "alike": ("cup",)}),
-    ]
+    classes = ("bottle", "cup", "mug")
+    how = {"num_views": 5, "workers": 2, "folder": table / "cache", "classes": classes}
+    assert asked["class"] == [((name, "test"), how) for name in classes]
     rendered = {"clutter": (clutter_pictures, (40,), {"seed": 0}), "rooms": (room_pictures, (40,), {"seed": 0})}
     assert asked["sets"] == [{**rendered, "tables": (table_pictures, (table,), {})}]
     others = {"num_members": 2, "num_views": 2, "workers": 2, "folder": table / "cache"}
-    assert asked["assorted"] == [(range(2000, 2036), others)]
+    assert asked["assorted"] == [((2000, 18), others)]
     assert "captures" not in bench_detection(None)
     assert asked["sets"][1] == rendered
-    assert asked["class"][3][1] == {"num_views": 4, "workers": 1, "folder": detection.CACHE, "alike": ()}
+    assert asked["class"][3][1] == {**how, "num_views": 4, "workers": 1, "folder": detection.CACHE}

@@ -18,6 +18,7 @@ from gfp_grasp.bench.ablation import ITERATIONS, WIDTHS, AblationConfig, bench_a
 from gfp_grasp.bench.registration import FitRow, RegistrationConfig, bench_registration
 from gfp_grasp.errors import FitDiverged, InvalidOption
 from gfp_grasp.register import FitConfig
+from gfp_grasp.scenes import shipped_families
 from gfp_grasp.shapes import split_seeds
 from gfp_grasp.train import LoopConfig, ViewsConfig, paper_loss, shape_source
 from gfp_grasp.transforms import apply_T, make_T, rotation_about
@@ -124,24 +125,26 @@ def test_every_shape_is_fitted_in_every_view_from_every_start(monkeypatch, mean_
 
     monkeypatch.setattr(registration, "render_views", render)
     monkeypatch.setattr(registration, "fit_primitive", fit)
+    monkeypatch.setattr(registration, "recognise", lambda detection, library: f"{detection}, looked at")
     monkeypatch.setattr(registration, "_errors", lambda fit, view, primitive: {"cd_m": 0.5, "wrong_rest": False})
     monkeypatch.setattr(registration, "time", SteadyClock(0.25))
     config = RegistrationConfig(views=2, limit=1, seed=9, mean_size=mean_size)
     report = bench_registration(config=config)
-    shapes = [(family, int(split_seeds(family, "test")[0])) for family in ("cup", "mug", "bottle")]
+    shapes = [(family, int(split_seeds(family, "test")[0])) for family in shipped_families()]
     assert rendered == [(shape_source(*shape), {"num_views": 2, "first_seed": 9}) for shape in shapes]
     assert report["trials"] == [
         {"family": family, "seed": seed, "view": number, "start": start, "ms": 250.0}
         | ({"error": "nothing fits"} if (family, start) == ("mug", "pcrnet") else {"cd_m": 0.5, "wrong_rest": False})
         for family, seed in shapes
         for number in (0, 1)
-        for start in ("box", "pcrnet")
+        for start in ("proposal", "box", "pcrnet")
     ]
-    size = (1.0, 1.0, 1.0) if mean_size else None
-    assert fitted[:2] == [(f"cup-{shapes[0][1]} 0", "cup", FitConfig(size=size, start=s)) for s in ("box", "pcrnet")]
-    assert list(report["rows"]) == ["cup", "mug", "bottle", "all"]
+    size, name = (1.0, 1.0, 1.0) if mean_size else None, f"cup-{shapes[0][1]} 0"
+    seen: list[tuple[str, Any]] = [(f"{name}, looked at", "proposal"), (name, "box"), (name, "pcrnet")]
+    assert fitted[:3] == [(what, "cup", FitConfig(size=size, start=start)) for what, start in seen]
+    assert list(report["rows"]) == [*shipped_families(), "all"]
     assert report["rows"]["mug"]["pcrnet"]["failed"] == report["rows"]["all"]["pcrnet"]["failed"] == 2
-    assert report["rows"]["all"]["box"]["views"] == 6
+    assert report["rows"]["all"]["box"]["views"] == 40
     assert report["rows"]["mug"]["box"]["cd_m"] == 0.5
     assert report["settings"] == {**asdict(config), "view": asdict(ViewsConfig())}
 

@@ -236,7 +236,7 @@ def test_meshes_of_a_folder_are_a_group_without_scenes(monkeypatch, tmp_path: Pa
     (tmp_path / "meshes").mkdir()
     box = trimesh.creation.box(extents=(0.06, 0.08, 0.1))
     box.export(tmp_path / "meshes" / "spoon__own.ply")
-    with pytest.raises(InvalidOption, match="has no mesh of bottle, cup, mug"):
+    with pytest.raises(InvalidOption, match="has no mesh of bicycle, bottle, bowl"):
         bench_ready(tmp_path)
     box.export(tmp_path / "meshes" / "mug__own.ply")
     report = bench_ready(tmp_path, config=ReadyConfig(views=2, scenes=1))

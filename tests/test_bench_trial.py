@@ -13,6 +13,7 @@ from gfp_grasp.bench.trial import TrialRow, bench_trial, creep_mps, fetch_steps_
 from gfp_grasp.envs import TrialSettings
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.scenes import TARGET
+from gfp_grasp.shapes import HOUSEHOLD
 from gfp_grasp.transforms import make_T
 from gfp_grasp.types import Grasp, Outcome
 
@@ -71,7 +72,7 @@ def test_outcomes_are_compared_from_step_to_step(monkeypatch):
 def test_objects_without_a_grasp_give_counts_alone(monkeypatch):
     measured(monkeypatch, trial._Measured((), None, 0.5))
     report = bench_trial("all")
-    assert report["settings"]["objects"] == "cup,mug,bottle"
+    assert report["settings"]["objects"] == ",".join(HOUSEHOLD)
     assert (report["attempts"], report["held"], report["agreement"]) == (0, {"1/1": 0, "1/2": 0, "1/4": 0}, None)
     assert (report["creep_mm_per_s"], report["share_in_mj_step"], report["differing"]) == (None, None, [])
     assert (report["attempts_per_s"], report["episodes_per_s"]) == (0.0, 2.0)

@@ -1,21 +1,22 @@
 """Classes are known by prototypes: what scores follow from them, for whatever classes a library has."""
 
 from dataclasses import replace
+from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
 
 from gfp_grasp.detect import (
     Calibration,
-    EmbeddingNet,
     Prototypes,
     class_scores,
     classify,
-    embed,
-    features,
+    look,
     mixture,
-    with_surface,
+    shares_in,
 )
+from gfp_grasp.detect import classifier as module
 from gfp_grasp.errors import UnreadableFile
 from gfp_grasp.primitives import PrimitiveLibrary, save_primitive
 from gfp_grasp.types import SupportPlane
@@ -71,6 +72,26 @@ def test_subcategories_count_by_their_share():
     np.testing.assert_array_equal(own.vectors, np.eye(3))
 
 
+def test_shares_within_a_class_go_by_prototypes_and_far_from_all_by_the_share_of_each(monkeypatch):
+    axes = np.eye(4)
+    card = {"prototypes_sha256": "this"}
+    cups: Any = [
+        SimpleNamespace(name="cup", spec=SimpleNamespace(share=0.8), prototypes=axes[:1], card=card),
+        SimpleNamespace(name="cup.lidded", spec=SimpleNamespace(share=0.4), prototypes=axes[1:3], card=card),
+    ]
+    monkeypatch.setattr(module, "load_card", lambda: {"sha256": "this"})
+    monkeypatch.setattr(module, "load_calibration", lambda: CALIBRATION)
+    floor = np.exp(-0.3 / 0.05)
+    lid = (1 / 6) ** 0.5 * (1 + np.exp(-1 / 0.05)) + floor / 3
+    cup = (2 / 3) ** 0.5 * np.exp(-1 / 0.05) + floor * 2 / 3
+    at_lid = np.array([0.0, 1.0, 0.0, 0.0])
+    expected = {"cup": pytest.approx(cup / (lid + cup)), "cup.lidded": pytest.approx(lid / (lid + cup))}
+    assert shares_in(at_lid, cups) == expected
+    assert shares_in(-axes[:3].sum(axis=0) / 3**0.5, cups)["cup.lidded"] == pytest.approx(1 / 3, abs=1e-5)
+    cups[1].card = {"prototypes_sha256": "another"}
+    assert shares_in(at_lid, cups) == {"cup": pytest.approx(2 / 3), "cup.lidded": pytest.approx(1 / 3)}
+
+
 def test_scores_of_the_others_keep_their_order_when_a_class_is_added():
     rng = np.random.default_rng(2)
     known = {name: mixture([_unit(rng, 4, 8)], [1.0]) for name in "abc"}
@@ -87,28 +108,13 @@ def _standing_tube(rng: np.random.Generator) -> np.ndarray:
     return np.column_stack([0.04 * np.cos(angle), 0.04 * np.sin(angle), z])
 
 
-def test_features_hold_size_apart_from_shape():
-    cloud = with_surface(_standing_tube(np.random.default_rng(0)))
-    large = np.column_stack([7 * cloud[:, :3], cloud[:, 3:]])
-    small, big = features(cloud), features(large)
-    np.testing.assert_allclose(big[:, :7], small[:, :7], rtol=1e-5)
-    np.testing.assert_allclose(big[:, 7] - small[:, 7], np.log(7), rtol=1e-5)
-
-
-def test_the_embedding_has_length_one_and_does_not_see_a_quarter_turn():
-    points = _standing_tube(np.random.default_rng(1))
-    network = EmbeddingNet(16, width=8).eval()
-    here = embed(points, UP, TABLE, network=network)
-    assert np.linalg.norm(here) == pytest.approx(1.0)
-    turned = points @ np.array([[0.0, 1, 0], [-1, 0, 0], [0, 0, 1]])
-    np.testing.assert_allclose(embed(turned, UP, TABLE, network=network), here, atol=1e-5)
-
-
 def test_an_added_class_takes_part_without_training(tmp_path):
     points = _standing_tube(np.random.default_rng(2))
     shipped = PrimitiveLibrary.shipped()
     donor = shipped.primitive(shipped.categories[0])
-    new = replace(donor, category="tube", spec=None, prototypes=embed(points, UP, TABLE)[None], card={**donor.card})
+    new = replace(
+        donor, category="tube", spec=None, prototypes=look(points, UP, TABLE).embedding[None], card={**donor.card}
+    )
     save_primitive(new, tmp_path)
     library = PrimitiveLibrary.with_shipped(tmp_path)
     scores = classify(points, UP, TABLE, library=library)

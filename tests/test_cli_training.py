@@ -10,7 +10,7 @@ import torch
 from recorded_calls import recorded, rows_of, run
 
 from gfp_grasp.primitives import BuildConfig, PrimitiveLibrary
-from gfp_grasp.train import GFPNET_CONFIGS, PCRNET_CONFIG, ClassifierConfig
+from gfp_grasp.train import GFPNET_CONFIGS, PCRNET_CONFIG, ProposalConfig
 
 MADE = SimpleNamespace(vertices=[0] * 5, modes=[0] * 2, parts=[0] * 3, part_errors_m=((1, 1), (0.00123, 0.0046)))
 
@@ -173,20 +173,20 @@ def bars(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, int]]:
     return shown
 
 
-def test_training_of_the_classifier_hands_on_every_option(
+def test_training_of_the_proposal_network_hands_on_every_option(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], bars: list[tuple[str, int]]
 ) -> None:
-    train = recorded(monkeypatch, "gfp_grasp.train.train_classifier", "metrics")
-    assert run(f"train classifier --out weights --workers 3 {TRAINED}") == 0
-    assert run("train classifier") == 0
+    train = recorded(monkeypatch, "gfp_grasp.train.train_proposal", "metrics")
+    assert run(f"train proposal --out weights --workers 3 {TRAINED}") == 0
+    assert run("train proposal") == 0
     ((config,), named), ((default,), defaults) = train.calls
-    assert config == ClassifierConfig(seed=5, device="cuda", limit=6, steps=7)
+    assert config == ProposalConfig(seed=5, device="cuda", limit=6, steps=7)
     received = {"classes": ("cup", "mug"), "data": Path("meshes"), "out": Path("weights"), "workers": 3}
-    assert named == {**received, "cache": Path("elsewhere/classifier"), "report": "report"}
-    assert default == ClassifierConfig()
+    assert named == {**received, "cache": Path("elsewhere/proposal"), "report": "report"}
+    assert default == ProposalConfig()
     received = {"classes": None, "data": None, "out": Path("gfp_grasp/weights"), "workers": 1}
-    assert defaults == {**received, "cache": Path("runs/classifier"), "report": "report"}
-    assert bars == [("classifier", 7), ("classifier", ClassifierConfig().steps)]
+    assert defaults == {**received, "cache": Path("runs/proposal"), "report": "report"}
+    assert bars == [("proposal", 7), ("proposal", ProposalConfig().steps)]
     assert capsys.readouterr().out == "metrics\nmetrics\n"
 
 

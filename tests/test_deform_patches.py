@@ -40,8 +40,8 @@ def body():
     return primitive_of(l_body(0.008))
 
 
-def test_the_unit_is_a_share_of_the_size_and_30_mm_for_the_shipped_cup(body):
-    assert patch_unit_m(PrimitiveLibrary.shipped().primitive("cup")) == pytest.approx(0.030, abs=1e-4)
+def test_the_unit_is_a_share_of_the_size_and_a_quarter_of_that_of_the_shipped_cup(body):
+    assert patch_unit_m(PrimitiveLibrary.shipped().primitive("cup")) == pytest.approx(0.0298, abs=1e-4)
     assert patch_unit_m(body) == pytest.approx(0.3248 * np.cbrt(0.08 * 0.05 * 0.1))
     large = replace(body, vertices=40 * body.vertices, modes=40 * body.modes)
     assert patch_unit_m(large) == pytest.approx(40 * patch_unit_m(body))

@@ -25,6 +25,7 @@ from gfp_grasp.drawing import (
     without_paths,
     write_bars,
     write_clip,
+    write_confusion,
     write_curves,
     write_depth,
 )
@@ -205,6 +206,16 @@ def test_curves_stand_at_their_values_over_one_two_three(tmp_path: Path):
     bottom, top = 310.0, 60.0
     highest = 1.1 * 4.0
     np.testing.assert_allclose(points[:, 1], bottom - (bottom - top) * np.array([4.0, 2.0, 1.0]) / highest, atol=0.06)
+
+
+def test_a_confusion_is_as_dark_as_a_class_is_often_named_and_tells_what_is_wrong(tmp_path: Path):
+    rows = {"cup": [3, 1, 0], "jar": [0, 0, 8]}
+    drawing = ElementTree.parse(write_confusion(rows, ["cup", "mug", "jar"], tmp_path / "a.svg", title="T")).getroot()
+    squares = [square for square in drawing.iter("{http://www.w3.org/2000/svg}rect") if square.get("fill-opacity")]
+    assert [float(square.get("fill-opacity", "")) for square in squares] == [0.75, 0.25, 0.0, 0.0, 0.0, 1.0]
+    assert squares[0].get("fill") == squares[5].get("fill") != squares[1].get("fill") == squares[3].get("fill")
+    words = [text.text for text in drawing.iter("{http://www.w3.org/2000/svg}text")]
+    assert words[2:] == ["cup", "mug", "jar", "cup", "75", "25", "jar", "100"]
 
 
 def test_every_nth_acts_at_the_first_call_and_then_at_each_nth():

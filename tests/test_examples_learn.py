@@ -185,7 +185,7 @@ def test_the_program_hands_on_every_option_and_prints_rates(
     main([])
     assert learnt.calls == [
         (("cup",), {"attempts": 30, "held_out": 7, "limit": 4, "seed": 5}),
-        ((None,), {"attempts": 1000, "held_out": 100, "limit": 16, "seed": 0}),
+        (("bottle",), {"attempts": 1000, "held_out": 100, "limit": 16, "seed": 0}),
     ]
     assert capsys.readouterr().out.splitlines()[:2] == [
         "random   held 1 of 7, 95 % interval 16% to 75%",

@@ -45,7 +45,7 @@ HEAVY = {
     "viser": ("view.",),
 }
 MODULES = sorted(PACKAGE.rglob("*.py"))
-MAY_NAME_CLASSES = ("shapes", "datasets", "demo")
+MAY_NAME_CLASSES = ("shapes", "datasets", "demo", "examples")
 
 
 def test_every_room_stands_in_a_row() -> None:
@@ -90,7 +90,8 @@ def test_other_rooms_are_imported_only_through_their_init() -> None:
 
 def test_no_class_is_named_outside_of_what_makes_classes() -> None:
     classes = {path.stem.split(".")[0] for path in (ROOT / "gps").glob("*.json")}
-    assert classes
+    classes.remove("box")  # it is a solid and a bound, too
+    assert "wine_glass" in classes
     named = {
         f"{path.relative_to(PACKAGE).as_posix()}:{line} {text!r}"
         for path in MODULES

@@ -1,5 +1,6 @@
 """Which classes a detection may be of, how sure that is, and which primitives are fitted to it."""
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -8,8 +9,12 @@ import pytest
 from recorded_calls import recorded
 from toy_completions import toy_completion
 
-from gfp_grasp.recognition import SURE_SCORE, candidate_primitives, recognise, sureness
+from gfp_grasp.recognition import SURE_SCORE, candidate_primitives, likeliest, recognise, sureness
+from gfp_grasp.types import OrientedBox, Proposal
 
+PROPOSAL = Proposal(
+    OrientedBox(np.eye(4), np.array([0.08, 0.07, 0.1])), {"upright": 0.9, "lying": 0.1}, 0.4, ("cup",), np.ones(2)
+)
 CARDS = {
     "bottle": (0.0, ()),
     "cup": (0.5, ("mug",)),
@@ -39,8 +44,10 @@ class ToyLibrary:
 LIBRARY: Any = ToyLibrary()
 
 
-def candidates(category: str, scores: dict[str, float], share: float, subcategories: bool) -> list[tuple[str, float]]:
-    detection = toy_completion(category=category, scores=scores).detection
+def candidates(
+    category: str, scores: dict[str, float], share: float, subcategories: bool, *, looked: Proposal | None = None
+) -> list[tuple[str, float]]:
+    detection = replace(toy_completion(category=category, scores=scores).detection, proposal=looked)
     found = candidate_primitives(detection, LIBRARY, rival_share=share, subcategories=subcategories)
     return [(primitive.name, float(odds)) for primitive, odds in found]
 
@@ -62,6 +69,21 @@ def test_a_class_that_was_given_costs_nothing_but_its_own_and_odds_have_an_end()
     assert tiny == [("cup", pytest.approx(-np.log(1e-6) + 0.5))]
 
 
+def test_of_a_class_those_primitives_are_tried_that_one_look_finds_likely(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked = recorded(monkeypatch, "gfp_grasp.detect.shares_in", {"cup": 0.05, "cup.lidded": 0.95})
+    lidded = ("cup.lidded", pytest.approx(-np.log(0.6) - np.log(0.95)))
+    mug, cup = ("mug", pytest.approx(-np.log(0.1) + 0.25)), ("cup", pytest.approx(-np.log(0.6) - np.log(0.05)))
+    scores = {"cup": 0.6, "mug": 0.1, "bottle": 0.01}
+    assert candidates("cup", scores, 0.1, True, looked=PROPOSAL) == [lidded, mug]
+    assert candidates("cup", scores, 0.05, True, looked=PROPOSAL) == [lidded, mug, cup]
+    assert candidates("cup", {}, 0.1, True, looked=PROPOSAL) == [("cup.lidded", pytest.approx(-np.log(0.95)))]
+    assert candidates("cup", scores, 0.1, False, looked=PROPOSAL)[0] == ("cup", pytest.approx(-np.log(0.6) + 0.5))
+    assert len(asked.calls) == 3
+    (embedding, members), _ = asked.calls[0]
+    assert embedding is PROPOSAL.embedding
+    assert [primitive.name for primitive in members] == ["cup", "cup.lidded"]
+
+
 def test_a_class_is_as_sure_as_it_and_those_that_it_is_taken_for_are_together() -> None:
     assert sureness({}, LIBRARY) == 1.0
     assert sureness({"mug": 0.4, "cup": 0.35, "bottle": 0.25}, LIBRARY) == pytest.approx(0.75)
@@ -71,13 +93,29 @@ def test_a_class_is_as_sure_as_it_and_those_that_it_is_taken_for_are_together() 
 
 
 def test_what_is_known_is_not_asked_for_again_and_else_the_best_class_is_taken(monkeypatch: pytest.MonkeyPatch) -> None:
-    ask = recorded(monkeypatch, "gfp_grasp.detect.classify", {"cup": 0.3, "mug": 0.7})
+    ask = recorded(monkeypatch, "gfp_grasp.detect.look", PROPOSAL)
+    score = recorded(monkeypatch, "gfp_grasp.detect.scores_in", {"cup": 0.3, "mug": 0.7})
     for known in (toy_completion(category="cup"), toy_completion(category="", scores={"cup": 1.0})):
-        assert recognise(known.detection, LIBRARY) is known.detection
-    assert not ask.calls
+        made = recognise(known.detection, LIBRARY)
+        assert made.proposal is PROPOSAL
+        assert (made.category, made.scores) == (known.detection.category, known.detection.scores)
+    assert not score.calls
+    ask.calls.clear()
     detection = toy_completion(category="").detection
     made = recognise(detection, LIBRARY)
     assert (made.category, made.scores) == ("mug", {"cup": 0.3, "mug": 0.7})
+    assert made.proposal is PROPOSAL
     (points, up, support), named = ask.only
     assert (points is detection.cloud.points, up is detection.up) == (True, True)
-    assert (support, named) == (detection.support, {"library": LIBRARY})
+    assert support is detection.support
+    assert named == {"viewpoint": detection.cloud.viewpoint}
+    assert score.only == ((PROPOSAL.embedding, LIBRARY), {})
+    other = replace(PROPOSAL, sure_of_front=0.1)
+    assert recognise(replace(detection, proposal=other), LIBRARY).proposal is other
+    assert len(ask.calls) == 1
+
+
+def test_the_likeliest_classes_come_highest_first():
+    scores = {"bottle": 0.1, "cup": 0.6, "mug": 0.3}
+    assert likeliest(scores, 2) == [("cup", 0.6), ("mug", 0.3)]
+    assert likeliest(scores, 5) == [("cup", 0.6), ("mug", 0.3), ("bottle", 0.1)]

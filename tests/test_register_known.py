@@ -52,7 +52,7 @@ MIDDLE = {"steps": (0.156, 0.104, 0.073, 0.052, 0.042), "num_points": 250, "num_
 def test_options_are_those_that_the_committed_figures_were_measured_with() -> None:
     assert asdict(RefineConfig()) == {**REFINE, "steps": STEPS}
     assert asdict(FitConfig()) == {
-        "start": "box",
+        "start": "proposal",
         "hypotheses": ("upright", "upside_down", "lying"),
         "quick": {**REFINE, **QUICK},
         "middle": {**REFINE, **MIDDLE},
@@ -75,6 +75,7 @@ def test_icp_is_rigid_and_pcrnet_alone_is_not_refined() -> None:
     icp, config = icp_config(size=(1.0, 1.1, 0.9)), FitConfig()
     assert icp == replace(
         config,
+        start="box",
         roundness=False,
         size=(1.0, 1.1, 0.9),
         num_kept=1,

@@ -12,6 +12,7 @@ from PIL import Image
 
 from gfp_grasp import __version__
 from gfp_grasp.errors import CannotWrite, InvalidMesh, InvalidOption
+from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.score import Report, ScoreConfig, ScoreRow, failures, page
 from gfp_grasp.score.failures import Exhibit, choose_failures, has_oracle, is_oracle, make_exhibits
 from gfp_grasp.score.rows import as_step
@@ -284,7 +285,8 @@ def test_the_command_makes_the_page_again():
     every = (
         "gfp-grasp score --objects cup,mug --completers gfs/top-down,oracle --views 3 --grasps 4 --seed 6 --split val"
     )
-    assert page._command(SETTINGS, "my page") == f"{every} --clutter 2 --limit 7 --report 'my page'"
+    of_all = {**SETTINGS, "classes": ["", *PrimitiveLibrary.shipped().categories]}
+    assert page._command(of_all, "my page") == f"{every} --clutter 2 --limit 7 --report 'my page'"
     settings = {**SETTINGS, "detector": "own:one", "gps": ["a", "b c"], "classes": ["", "jug"]}
     del settings["ungraspable"], settings["clutter"]
     more = "--detector own:one --limit 5 --gps a --gps 'b c' --classes ,jug --report out"

@@ -11,6 +11,7 @@ import trimesh
 from gfp_grasp import __version__
 from gfp_grasp.envs import TrialSettings
 from gfp_grasp.errors import InvalidMesh, InvalidOption, WorkerLost
+from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.score import BRACKETED, Report, ScoreConfig, score
 from gfp_grasp.score import rows as score_rows
 from gfp_grasp.score import run as score_run
@@ -47,7 +48,7 @@ def test_every_view_of_every_object_that_can_be_grasped_goes_through_every_metho
         "split": "test",
         "num_objects": 2,
         "ungraspable": ["a"],
-        "classes": ["", "bottle", "cup", "mug"],
+        "classes": sorted(("", *PrimitiveLibrary.shipped().categories)),
         "completers": ["oracle", "mirror/top-down"],
         **{"views": 2, "clutter": 0, "grasps": 3, "seed": 4},
         "trial": asdict(TrialSettings()),

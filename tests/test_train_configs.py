@@ -14,14 +14,17 @@ from gfp_grasp.assets import data_dir
 from gfp_grasp.deform.gfpnet import WEIGHTS
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.register import FitConfig
-from gfp_grasp.train import ClassifierConfig, classifier, gfpnet, pcrnet
-from gfp_grasp.train.classifier import train_classifier
-from gfp_grasp.train.classifier_data import VIEWS, Example, Targets
+from gfp_grasp.scenes import shipped_families
+from gfp_grasp.shapes import FAMILIES
+from gfp_grasp.train import ProposalConfig, gfpnet, pcrnet, proposal
 from gfp_grasp.train.gfpnet import GFPNET_CONFIGS, measure_paper, paper_loss, patches_of_split, train_gfpnet
 from gfp_grasp.train.pcrnet import PCRNET_CONFIG, train_pcrnet
+from gfp_grasp.train.proposal import train_proposal
+from gfp_grasp.train.proposal_batches import Targets
+from gfp_grasp.train.proposal_data import VIEWS, Example
 
 LIBRARY = PrimitiveLibrary.shipped()
-CONFIGS = {"classifier": ClassifierConfig(), "pcrnet": PCRNET_CONFIG} | {
+CONFIGS = {"proposal": ProposalConfig(), "pcrnet": PCRNET_CONFIG} | {
     WEIGHTS[variant]: config for variant, config in GFPNET_CONFIGS.items()
 }
 
@@ -32,7 +35,7 @@ def test_the_shipped_weights_were_trained_with_the_schedule_of_today(name: str) 
     assert asdict(CONFIGS[name]) == card["config"]
 
 
-def test_the_classifier_learns_from_views_of_many_heights_and_distances() -> None:
+def test_the_proposal_network_learns_from_views_of_many_heights_and_distances() -> None:
     assert asdict(VIEWS) == {
         "elevation_deg": (5.0, 70.0),
         "distance_m": (0.4, 1.0),
@@ -81,7 +84,7 @@ def test_pcrnet_is_trained_on_two_copies_of_each_view_and_measured_on_one(tmp_pa
     told = print
     card = train_pcrnet(config=config, num_views=3, limit=5, runs=tmp_path, report=told)  # pyright: ignore[reportArgumentType]
     knobs = {"num_views": 3, "limit": 5, "folder": tmp_path / "views", "data": None}
-    names = LIBRARY.categories
+    names = shipped_families()
     assert asked == [(name, split, knobs) for split in ("train", "val") for name in names]
     assert [(found, name, copies) for found, name, _, copies in rows] == [
         ([name, split], name, copies) for split, copies in (("train", 2), ("val", 1)) for name in names
@@ -95,13 +98,13 @@ def test_pcrnet_is_trained_on_two_copies_of_each_view_and_measured_on_one(tmp_pa
     assert {part.dtype for part in batch} == {torch.float32}
     assert written.path == data_dir("weights") / "pcrnet.safetensors"
     assert card == written.path.with_suffix(".json")
-    assert (written.config, written.hours, written.metrics) == (config, 1.5, {"val_samples": 9})
+    assert (written.config, written.hours, written.metrics) == (config, 1.5, {"val_samples": 60})
     assert written.data == {
         "classes": names,
         "shapes": "procedural",
         "split": "train",
         "views_a_shape": 3,
-        "samples": 9,
+        "samples": 60,
     }
     torch.manual_seed(4)
     fresh = pcrnet.PCRNet().half().float().state_dict()
@@ -172,7 +175,7 @@ def test_the_papers_networks_are_trained_on_single_patches(monkeypatch) -> None:
     out = Path("there.safetensors")
     train_gfpnet("paper-oneshot", config=config, out=out, data=Path("meshes"), report=print)
     (made,), (written,) = run.trained, run.written
-    assert loaded[0].categories == LIBRARY.categories
+    assert loaded[0].categories == shipped_families()
     assert made.checkpoint == Path("runs/gfpnet/paper-oneshot.pt")
     assert (made.loss, made.config, made.report) == (paper_loss, config, print)
     assert [tuple(part.shape) for part in next(made.batches(torch.Generator()))] == [(4, 3), (4, 4)]
@@ -187,80 +190,87 @@ def test_patches_of_a_split_are_those_of_the_shipped_classes(monkeypatch) -> Non
     _, asked, loaded = _gfpnet_run(monkeypatch)
     found = patches_of_split("test", 2, 5, Path("r"), workers=3)
     assert len(found[0]) == 9
-    assert loaded[0].categories == LIBRARY.categories
+    assert loaded[0].categories == shipped_families()
     knobs = {"library": LIBRARY, "split": "test", "num_views": 2, "limit": 5, "runs": Path("r"), "workers": 3}
     assert asked == [("mug", knobs)]
 
 
 def _example(name: str) -> Example:
-    return Example(np.random.default_rng(0).uniform(0.02, 0.1, (40, 3)), name, "", (name,), (name,), "upright")
+    points = np.random.default_rng(0).uniform(0.02, 0.1, (40, 3))
+    return Example(points, np.ones(3), name, "", (name,), (name,), "upright", None)
 
 
 @pytest.fixture
-def classifier_run(monkeypatch) -> SimpleNamespace:
-    """A run of the classifier's training on nothing, and what was asked for."""
-    run = _Run(classifier, monkeypatch)
-    seen = SimpleNamespace(run=run, views=[], others=[], targets=[], calibrated=[], measured=[])
+def proposal_run(monkeypatch) -> SimpleNamespace:
+    """A run of the proposal network's training on nothing, and what was asked for."""
+    run = _Run(proposal, monkeypatch)
+    seen = SimpleNamespace(run=run, views=[], others=[], targets=[], calibrated=[], measured=[], posed=[])
 
     def views(name, split, **knobs):
         seen.views.append((name, split, knobs))
         return [_example(name)]
 
-    def others(kinds, **knobs):
-        seen.others.append((kinds, knobs))
+    def others(first, count, **knobs):
+        seen.others.append((first, count, knobs))
         return [_example("assorted-1")] * 2
 
     def targets(examples, assorted, config, cache):
         seen.targets.append((len(examples), len(assorted), config, cache))
-        return Targets(torch.zeros(4, 5, 6), torch.zeros(4, 2), torch.zeros(4), torch.tensor([0, 1, 0]), 2)
+        zeros = np.zeros(4)
+        pool, R, box = np.zeros((4, 5, 9), np.float16), np.zeros((4, 3, 3)), np.zeros((4, 2, 3))
+        classes, class_of = np.zeros((4, 2), np.float32), torch.tensor([0, 1, 0])
+        return Targets(pool, zeros, classes, zeros, class_of, zeros, R, box, zeros, 2)
 
     def measured(*args):
         seen.measured.append(args)
         return {"accuracy": 0.5}
+
+    def posed(*args):
+        seen.posed.append(args)
+        return {"up_deg": 3.0}
 
     def calibrated(*args):
         seen.calibrated.append(args)
         return SimpleNamespace(temperature=0.123456789, reach=0.987654321)
 
     for name, fake in (("class_examples", views), ("assorted_examples", others), ("make_targets", targets),
-                       ("calibrate", calibrated), ("measure", measured)):  # fmt: skip
-        monkeypatch.setattr(classifier, name, fake)
-    monkeypatch.setattr(classifier, "_prototypes", lambda network, examples, seed: {"p": (len(examples), seed)})
+                       ("calibrate", calibrated), ("measure", measured), ("measure_pose", posed)):  # fmt: skip
+        monkeypatch.setattr(proposal, name, fake)
+    monkeypatch.setattr(proposal, "_prototypes", lambda network, examples, seed: {"p": (len(examples), seed)})
     return seen
 
 
-def test_the_classifier_is_trained_calibrated_and_measured_on_apart_views(classifier_run, tmp_path: Path) -> None:
-    config = ClassifierConfig(seed=3, kinds=25, members=4, width=8, channels=8, views=5, limit=10)
-    metrics = train_classifier(
+def test_the_proposal_network_is_trained_calibrated_and_measured_on_apart_views(proposal_run, tmp_path: Path) -> None:
+    config = ProposalConfig(seed=3, kinds=25, members=4, width=8, channels=8, views=5, limit=10)
+    metrics = train_proposal(
         config, out=tmp_path, cache=tmp_path / "c", workers=2, report=print, classes=["mug", "cup"]
     )
-    seen, names = classifier_run, ("mug", "cup")
-    shared = {"data": None, "workers": 2, "folder": tmp_path / "c"}
-    alike = {"mug": ("cup",), "cup": ("mug",)}
+    seen, names = proposal_run, ("mug", "cup")
+    shared = {"data": None, "workers": 2, "folder": tmp_path / "c", "classes": names}
     assert seen.views == [
-        (name, split, {**shared, "num_views": count, "alike": alike[name], "limit": limit})
+        (name, split, {**shared, "num_views": count, "limit": limit})
         for split, count, limit in (("train", 5, 10), ("val", 2, 2), ("test", 4, 2))
         for name in names
     ]
     knobs = {"num_views": 2, "workers": 2, "folder": tmp_path / "c"}
     assert seen.others == [
-        (range(25), {**knobs, "num_members": 4}),
-        (range(1000, 1002), {**knobs, "num_members": 2}),
-        (range(2000, 2002), {**knobs, "num_members": 2}),
+        (0, 25, {**knobs, "num_members": 4}),
+        (1000, 2, {**knobs, "num_members": 2}),
+        (2000, 2, {**knobs, "num_members": 2}),
     ]
     assert seen.targets == [(2, 2, config, tmp_path / "c")]
     (made,), (written,) = seen.run.trained, seen.run.written
     assert (made.config, made.report) == (config, print)
     assert made.checkpoint.parent == tmp_path / "c"
-    assert made.checkpoint.name.startswith("classifier_")
-    assert len(made.checkpoint.stem) == len("classifier_") + 10
+    assert made.checkpoint.name.startswith("proposal_")
+    assert len(made.checkpoint.stem) == len("proposal_") + 10
     torch.manual_seed(3)
-    fresh = classifier._WithProxies(config, torch.tensor([0, 1, 0]))
+    fresh = proposal._WithProxies(config, torch.tensor([0, 1, 0]))
     assert torch.equal(fresh.proxies, made.network.proxies)
-    half = fresh.embedding.half().float().state_dict()
+    half = fresh.network.half().float().state_dict()
     assert all(torch.equal(half[key], value) for key, value in written.network.state_dict().items())
-    assert metrics == written.metrics == {"temperature": 0.12346, "reach": 0.98765, "accuracy": 0.5}
-    assert written.path == tmp_path / "classifier.safetensors"
+    assert metrics == written.metrics == {"temperature": 0.12346, "reach": 0.98765, "accuracy": 0.5, "up_deg": 3.0}
+    assert written.path == tmp_path / "proposal.safetensors"
     assert (written.config, written.hours) == (config, 1.5)
     assert written.data == {
         "classes": ["mug", "cup"],
@@ -269,24 +279,27 @@ def test_the_classifier_is_trained_calibrated_and_measured_on_apart_views(classi
         "kinds_of_other_things": 25,
         "views_of_other_things": 2,
     }
-    (calibrated,), (measured,) = seen.calibrated, seen.measured
+    (calibrated,), (measured,), (posed,) = seen.calibrated, seen.measured, seen.posed
     assert (calibrated[1], len(calibrated[2]), len(calibrated[3])) == ({"p": (2, 3)}, 2, 2)
     assert (measured[1], measured[2].reach, len(measured[3]), len(measured[4])) == ({"p": (2, 3)}, 0.987654321, 2, 2)
+    assert (posed[0], posed[1]) == (written.network, measured[3])
 
 
-def test_the_classifier_learns_the_shipped_classes_whole_unless_told(classifier_run, tmp_path: Path) -> None:
-    config = ClassifierConfig(kinds=3, width=8, channels=8)
-    train_classifier(config, out=tmp_path, data=Path("meshes"), cache=tmp_path)
-    assert [name for name, split, _ in classifier_run.views if split == "val"] == list(LIBRARY.categories)
-    assert {knobs["limit"] for _, _, knobs in classifier_run.views} == {None}
-    assert classifier_run.views[0][2]["data"] == Path("meshes")
-    assert [kinds for kinds, _ in classifier_run.others] == [range(3), range(1000, 1001), range(2000, 2001)]
-    assert classifier_run.run.written[0].data["shapes"] == "a folder"
-    small = replace(config, limit=3)
-    train_classifier(small, out=tmp_path, cache=tmp_path)
-    assert classifier_run.views[-1][2]["limit"] == 1
-    keys = {made.checkpoint for made in classifier_run.run.trained}
-    assert len(keys) == 2
+def test_the_proposal_network_learns_all_families_unless_told(proposal_run, tmp_path: Path) -> None:
+    config = ProposalConfig(kinds=3, width=8, channels=8)
+    train_proposal(config, out=tmp_path, data=Path("meshes"), cache=tmp_path)
+    asked = proposal_run.views
+    assert [name for name, split, _ in asked if split == "val"] == list(FAMILIES)
+    assert {(split, knobs["limit"]) for _, split, knobs in asked} == {("train", 240), ("val", 60), ("test", 60)}
+    assert asked[0][2]["data"] == Path("meshes")
+    assert asked[0][2]["classes"] == FAMILIES
+    assert [row[:2] for row in proposal_run.others] == [(0, 3), (1000, 1), (2000, 1)]
+    assert proposal_run.run.written[0].data["shapes"] == "a folder"
+    for limit, of_test in ((3, 1), (None, None)):
+        train_proposal(replace(config, limit=limit), out=tmp_path, cache=tmp_path)
+        assert asked[-1][2]["limit"] == of_test
+    keys = {made.checkpoint for made in proposal_run.run.trained}
+    assert len(keys) == 3
 
 
 def test_errors_of_patches_are_measured_in_millimetres() -> None:

@@ -56,9 +56,9 @@ def test_loss_is_low_where_each_thing_votes_for_its_own_place_and_high_where_two
 
 
 def test_a_room_is_rendered_once_and_its_views_are_level(tmp_path) -> None:
-    path = _render_room(("val", 2), num_views=2, folder=tmp_path)
+    path = _render_room(("val", 3), num_views=2, folder=tmp_path)
     stamp = path.stat().st_mtime_ns
-    assert _render_room(("val", 2), num_views=2, folder=tmp_path) == path
+    assert _render_room(("val", 3), num_views=2, folder=tmp_path) == path
     assert path.stat().st_mtime_ns == stamp
     views = list(read_rooms(path))
     assert len(views) == 2
@@ -73,7 +73,7 @@ def test_a_room_is_rendered_once_and_its_views_are_level(tmp_path) -> None:
 
 
 def test_augmented_crop_keeps_labels_with_their_surface(tmp_path) -> None:
-    view = next(iter(read_rooms(_render_room(("val", 2), num_views=2, folder=tmp_path))))
+    view = next(iter(read_rooms(_render_room(("val", 3), num_views=2, folder=tmp_path))))
     for seed in range(4):
         features, labels, above = _augmented(view, np.random.default_rng(seed))
         assert features.shape == (8, *CROP)

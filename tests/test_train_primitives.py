@@ -210,7 +210,7 @@ def test_held_out_members_are_repaired_and_turned_onto_the_mean(monkeypatch) -> 
 def test_a_class_is_known_by_the_prototypes_of_the_shipped_network(monkeypatch) -> None:
     asked: list = []
     monkeypatch.setattr(
-        "gfp_grasp.train.classifier.with_prototypes",
+        "gfp_grasp.train.prototypes.with_prototypes",
         lambda primitive, *, meshes, seed: (asked.append((meshes, seed)), primitive)[1],
     )
     module._recognisable(toy_cup_primitive(), 4, [])

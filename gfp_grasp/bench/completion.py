@@ -40,6 +40,7 @@ from gfp_grasp.metrics import chamfer_m, f_score, iou, scale_error, visible_surf
 from gfp_grasp.parallel import pmap
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.scenes import load_objects
+from gfp_grasp.types import CategorySpec
 
 _SAMPLES = 8192
 _WALL_M = 0.02  # a difference of normals of one unit counts like this distance
@@ -176,10 +177,17 @@ def _rows_of_view(job, *, methods: tuple[str, ...], config: CompletionConfig) ->
         ms = round(1000 * (time.perf_counter() - start), 1)
         if answer is not None:
             figures = _errors(answer, view, truth, own)
+            if "class_found" in figures:
+                figures["class_right"] = figures["class_found"] in _right_classes(library.spec(source.category))
         rows.append(
             CompletionRow(object=source.name, category=source.category, view=number, method=method, ms=ms, **figures)
         )
     return rows
+
+
+def _right_classes(spec: CategorySpec) -> set[str]:
+    """A class and, where it has no part that tells it, those that it is easily taken for."""
+    return {spec.category} if spec.optional_parts else {spec.category, *spec.alike}
 
 
 def _errors(answer: Answer, view: ObjectView, truth: np.ndarray, rng: np.random.Generator) -> dict[str, Any]:

@@ -10,6 +10,7 @@ import os
 import platform
 from collections.abc import Callable, Iterable
 from functools import partial
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -26,12 +27,13 @@ from gfp_grasp.bench.finding import (
 from gfp_grasp.detect import classify, detect_objects
 from gfp_grasp.errors import NothingDetected
 from gfp_grasp.primitives import PrimitiveLibrary
-from gfp_grasp.train import CACHE, Example, alike_in, assorted_examples, class_examples
+from gfp_grasp.train import CACHE, Example, assorted_examples, class_examples
 from gfp_grasp.types import DepthImage, SupportPlane
 
 _SCENES = 40  # rendered, of each kind
+_MARKS = (0.0, 0.3, 0.5, 0.7, 0.8, 0.9, 1.01)  # of the best class's score
 UP = np.array([0.0, 0.0, 1.0])
-_KINDS = range(2000, 2036)  # of things of no class, which no network has learnt
+_FIRST_KIND, _NUM_KINDS = 2000, 18  # of things of no class, which no network has learnt
 
 
 def bench_detection(data: Path | None, *, cache: Path = CACHE, num_views: int = 4, workers: int = 1) -> dict[str, Any]:
@@ -56,13 +58,11 @@ def bench_detection(data: Path | None, *, cache: Path = CACHE, num_views: int = 
     examples = [
         example
         for name in classes
-        for example in class_examples(
-            name, "test", num_views=num_views, alike=alike_in(classes, name), workers=workers, folder=cache
-        )
+        for example in class_examples(name, "test", num_views=num_views, classes=classes, workers=workers, folder=cache)
     ]
     figures["procedural_test"] = name_views(examples)
     figures["procedural_test_upright"] = name_views([e for e in examples if e.resting == "upright"])
-    outside = assorted_examples(_KINDS, num_members=2, num_views=2, workers=workers, folder=cache)
+    outside = assorted_examples(_FIRST_KIND, _NUM_KINDS, num_members=2, num_views=2, workers=workers, folder=cache)
     figures["foreign_mean_top_score"] = round(float(np.mean([max(_scores(e).values()) for e in outside])), 3)
     return figures
 
@@ -89,27 +89,43 @@ def name_views(examples: list[Example]) -> dict[str, Any]:
     """
     classes = PrimitiveLibrary.shipped().categories
     confusion = np.zeros((len(classes), len(classes)), dtype=int)
-    hidden = np.zeros((len(classes), len(classes)), dtype=int)
-    right, strict = [], []
+    several = np.zeros((len(classes), len(classes)), dtype=int)
+    right, strict, sure = [], [], []
     for example in examples:
         scores = _scores(example)
         named = max(scores, key=lambda name: scores[name])
         right.append(named in example.accepted)
         strict.append(named in example.answers)
-        counts = confusion if len(example.answers) == 1 else hidden
+        sure.append(scores[named])
+        counts = confusion if len(example.answers) == 1 else several
         counts[classes.index(example.category), classes.index(named)] += 1
     return {
         "views": len(right),
         "accuracy": round(float(np.mean(right)), 4),
         "accuracy_named_as_taught": round(float(np.mean(strict)), 4),
+        "calibration": _calibration(np.array(sure), np.array(right)),
         "confusion_rows_true": {name: row.tolist() for name, row in zip(classes, confusion, strict=True)},
-        "part_out_of_sight": {name: row.tolist() for name, row in zip(classes, hidden, strict=True) if row.any()},
+        "several_right": {name: row.tolist() for name, row in zip(classes, several, strict=True) if row.any()},
         "columns_named": list(classes),
     }
 
 
+def _calibration(sure: np.ndarray, right: np.ndarray) -> list[dict[str, float]]:
+    """Of the answers whose score lies between two marks: how many there are, their mean score, how many are right."""
+    rows = []
+    for low, high in pairwise(_MARKS):
+        between = (sure >= low) & (sure < high)
+        if between.any():
+            shares = {"mean_score": sure[between].mean(), "right": right[between].mean()}
+            rows.append(
+                {"from": low, "views": int(between.sum()), **{k: round(float(v), 4) for k, v in shares.items()}}
+            )
+    return rows
+
+
 def _scores(example: Example) -> dict[str, float]:
-    return classify(example.points[example.points[:, 2] > 0.006], UP, SupportPlane(UP, 0.0))
+    above = example.points[example.points[:, 2] > 0.006]
+    return classify(above, UP, SupportPlane(UP, 0.0), viewpoint=example.viewpoint)
 
 
 def _single_captures(data: Path) -> list[Path]:

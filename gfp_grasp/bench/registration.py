@@ -1,7 +1,7 @@
 """Bench of registrations: `gfp-grasp bench registration`.
 
 Views of the procedural test split, class and support known. Each start is followed by the same refinement, so that the
-rows tell what PCRNet's start is worth.
+rows tell what a proposal or PCRNet's start is worth.
 """
 
 from __future__ import annotations
@@ -21,14 +21,14 @@ from gfp_grasp.meshes import sample_surface
 from gfp_grasp.metrics import chamfer_m
 from gfp_grasp.parallel import pmap
 from gfp_grasp.primitives import PrimitiveLibrary
-from gfp_grasp.register import FitConfig, fit_primitive
+from gfp_grasp.recognition import recognise
+from gfp_grasp.register import STARTS, FitConfig, fit_primitive
 from gfp_grasp.scenes import shipped_families
 from gfp_grasp.shapes import split_seeds
 from gfp_grasp.train import View, ViewsConfig, render_views, shape_source
 from gfp_grasp.transforms import apply_T
 from gfp_grasp.types import FittedPrimitive, GenericPrimitive
 
-STARTS = ("box", "pcrnet")
 _SAMPLES = 4096
 
 
@@ -127,7 +127,8 @@ def bench_registration(
 
 def _rows_of_shape(job: tuple[str, int], *, starts: tuple[str, ...], config: RegistrationConfig) -> list[FitRow]:
     family, seed = job
-    primitive, rows = PrimitiveLibrary.shipped().primitive(family), []
+    library = PrimitiveLibrary.shipped()
+    primitive, rows = library.primitive(family), []
     for number, view in enumerate(
         render_views(shape_source(family, seed), num_views=config.views, first_seed=config.seed)
     ):
@@ -136,7 +137,10 @@ def _rows_of_shape(job: tuple[str, int], *, starts: tuple[str, ...], config: Reg
             fit_config = replace(FitConfig(size=(1.0, 1.0, 1.0) if config.mean_size else None), start=start)  # pyright: ignore[reportArgumentType]
             errors: dict[str, Any]
             try:
-                errors = _errors(fit_primitive(view.detection(), primitive, config=fit_config), view, primitive)
+                detection = view.detection()
+                if start == "proposal":
+                    detection = recognise(detection, library)
+                errors = _errors(fit_primitive(detection, primitive, config=fit_config), view, primitive)
             except FitDiverged as error:
                 errors = {"error": str(error)}
             milliseconds = round(1000 * (time.perf_counter() - began), 1)

@@ -44,6 +44,8 @@ class CompletionRow(Row):
         scale_error: Relative error of the size.
         iou: Intersection over union of the solids.
         class_found: Class that the method found.
+        class_right: Whether that is the true class or, where the class has no part that tells it, one that it is easily
+            taken for.
         seen_precision: Share of the vertices marked as observed that were seen.
         seen_recall: Share of the vertices that were seen which are marked as observed.
         sigma_rank: Rank correlation of sigma with the true error.
@@ -61,6 +63,7 @@ class CompletionRow(Row):
     scale_error: float | None = None
     iou: float | None = None
     class_found: str | None = None
+    class_right: bool | None = None
     seen_precision: float | None = None
     seen_recall: float | None = None
     sigma_rank: float | None = None
@@ -76,6 +79,7 @@ def summarise(rows: Sequence[CompletionRow]) -> dict[str, Any]:
     """Figures of one method over its rows; a method without an answer has no distance, and an F-score of 0."""
     errors = _known(rows, "cd_m")
     found = [row.class_found == row.category for row in rows if row.class_found]
+    right = [row.class_right for row in rows if row.class_right is not None]
     answer: dict[str, Any] = {}
     for name in _MEANS:
         values = _known(rows, name)
@@ -86,6 +90,7 @@ def summarise(rows: Sequence[CompletionRow]) -> dict[str, Any]:
         "cd_median_m": round(float(np.median(errors)), 5) if errors else None,
         "scale_error_median": round(float(np.median(scale)), 4) if scale else None,
         "class_found": round(float(np.mean(found)), 4) if found else None,
+        "class_right": round(float(np.mean(right)), 4) if right else None,
         "ms": round(float(np.median(times)), 1) if times else None,
         "ms_p95": round(float(np.quantile(times, 0.95)), 1) if times else None,
         "views": len(rows),

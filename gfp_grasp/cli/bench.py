@@ -133,7 +133,9 @@ def _primitive_figures(row: Mapping) -> tuple[str, ...]:
 
 @bench.command()
 def registration(
-    starts: Annotated[str, typer.Option(help="box, pcrnet, or both with a comma between.")] = "box,pcrnet",
+    starts: Annotated[
+        str, typer.Option(help="Some of proposal, box, pcrnet, with commas between.")
+    ] = "proposal,box,pcrnet",
     views: Annotated[int, typer.Option(min=1, help="Views of each object.")] = 4,
     limit: LimitOfEach = None,
     mean_size: Annotated[bool, typer.Option("--mean-size", help="Starts have the mean size.")] = False,
@@ -160,11 +162,15 @@ def detection(
     pictures: Annotated[
         Path | None, typer.Option(dir_okay=False, help="Paint what is found in captures/room_*.npz into this file.")
     ] = None,
+    confusion: Annotated[
+        Path | None, typer.Option(dir_okay=False, help="Draw which class is named for which into this .svg file.")
+    ] = None,
     workers: Workers = 1,
     json_file: JsonFile = None,
 ) -> None:
     """Objects found on tables, in clutter and in rooms by every detector, and classes told apart."""
     from gfp_grasp.bench import bench_detection, paint_rooms
+    from gfp_grasp.drawing import write_confusion
 
     if data is not None and not (data / "captures").is_dir():
         raise InvalidOption(f"--data is {data}; a folder with captures/ in it is expected")
@@ -174,6 +180,10 @@ def detection(
         report = bench_detection(data, num_views=views, workers=workers)
         if data is not None and pictures is not None:
             paint_rooms(data, pictures)
+    if confusion is not None:
+        found = report["procedural_test"]
+        title = f"Class named, of {found['views']} views of the test split where one answer is right"
+        write_confusion(found["confusion_rows_true"], found["columns_named"], confusion, title=title)
     out.print_json(json.dumps(report))
     save_json(json_file, report)
 

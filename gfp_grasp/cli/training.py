@@ -151,7 +151,7 @@ Data = Annotated[
 
 
 @train.command()
-def classifier(
+def proposal(
     classes: Classes = None,
     data: Data = None,
     folder: Annotated[Path, typer.Option("--out", help="Folder of the weights.")] = Path("gfp_grasp/weights"),
@@ -162,18 +162,18 @@ def classifier(
     workers: Workers = 1,
     seed: Seed = 0,
 ) -> None:
-    """The network that embeds a cloud, by which classes are told apart; then `gps prototypes` makes theirs anew."""
-    from gfp_grasp.train import ClassifierConfig, train_classifier
+    """The network that tells classes apart and proposes pose and size; then `gps prototypes` makes those anew."""
+    from gfp_grasp.train import ProposalConfig, train_proposal
 
-    config = ClassifierConfig(seed=seed, device=device, limit=limit)
-    config = replace(config, steps=steps or config.steps)
-    with _bar("classifier", config.steps) as report:
-        metrics = train_classifier(
+    config = ProposalConfig(seed=seed, device=device)
+    config = replace(config, steps=steps or config.steps, limit=limit or config.limit)
+    with _bar("proposal", config.steps) as report:
+        metrics = train_proposal(
             config,
             classes=_listed(classes),
             data=data,
             out=folder,
-            cache=runs / "classifier",
+            cache=runs / "proposal",
             workers=workers,
             report=report,
         )

@@ -21,25 +21,32 @@ from gfp_grasp.detect.validate import clean_cloud, numbers_of
 
 if TYPE_CHECKING:
     from gfp_grasp.detect.classifier import (
+        Calibration,
+        Prototypes,
+        class_scores,
+        classify,
+        mixture,
+        score_table,
+        scores_in,
+        shares_in,
+    )
+    from gfp_grasp.detect.instances import InstanceNet, Votes, gather_votes, instance_features, level_picture, vote
+    from gfp_grasp.detect.proposal import (
         FLOOR_M,
         NUM_CHANNELS,
         NUM_POINTS,
         POOL_POINTS,
-        Calibration,
-        EmbeddingNet,
-        Prototypes,
-        class_scores,
-        classify,
-        embed,
-        embed_clouds,
+        Look,
+        ProposalNet,
         features,
-        mixture,
+        look,
+        look_at_clouds,
         sample_points,
-        score_table,
-        upright_points,
+        seen_frame,
+        size_of,
+        turned_cloud,
         with_surface,
     )
-    from gfp_grasp.detect.instances import InstanceNet, Votes, gather_votes, instance_features, level_picture, vote
 
 __all__ = [
     "DETECTORS",
@@ -50,8 +57,9 @@ __all__ = [
     "Calibration",
     "DetectConfig",
     "Detector",
-    "EmbeddingNet",
     "InstanceNet",
+    "Look",
+    "ProposalNet",
     "Prototypes",
     "Votes",
     "class_scores",
@@ -59,8 +67,6 @@ __all__ = [
     "clean_cloud",
     "detect_objects",
     "detect_single",
-    "embed",
-    "embed_clouds",
     "estimate_sigma",
     "features",
     "find_support",
@@ -70,14 +76,20 @@ __all__ = [
     "label_picture",
     "label_points",
     "level_picture",
+    "look",
+    "look_at_clouds",
     "make_detection",
     "mixture",
     "numbers_of",
     "on_each_other",
     "sample_points",
     "score_table",
+    "scores_in",
+    "seen_frame",
+    "shares_in",
+    "size_of",
+    "turned_cloud",
     "upright_box",
-    "upright_points",
     "vote",
     "warn_of_a_plane_aside",
     "with_surface",
@@ -87,12 +99,15 @@ __all__ = [
 # These bring torch, and so come with the first use of one of them.
 _WITH_TORCH = {
     **dict.fromkeys(
-        (
-            "FLOOR_M", "NUM_CHANNELS", "NUM_POINTS", "POOL_POINTS", "Calibration", "EmbeddingNet", "Prototypes",
-            "class_scores", "classify", "embed", "embed_clouds", "features", "mixture", "sample_points", "score_table",
-            "upright_points", "with_surface",
-        ),
+        ("Calibration", "Prototypes", "class_scores", "classify", "mixture", "score_table", "scores_in", "shares_in"),
         "classifier",
+    ),
+    **dict.fromkeys(
+        (
+            "FLOOR_M", "NUM_CHANNELS", "NUM_POINTS", "POOL_POINTS", "Look", "ProposalNet", "features", "look",
+            "look_at_clouds", "sample_points", "seen_frame", "size_of", "turned_cloud", "with_surface",
+        ),
+        "proposal",
     ),
     **dict.fromkeys(
         ("InstanceNet", "Votes", "gather_votes", "instance_features", "level_picture", "vote"), "instances"

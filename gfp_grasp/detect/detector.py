@@ -19,7 +19,8 @@ from gfp_grasp.detect.tables import find_table, keep_on_table
 from gfp_grasp.errors import InvalidOption, NothingDetected, UnknownDetector
 from gfp_grasp.parallel import one_thread
 from gfp_grasp.plugins import imported_function
-from gfp_grasp.types import TABLETOP, DepthImage, Detection, PointCloud, SensorProfile, SupportPlane, View
+from gfp_grasp.primitives import PrimitiveLibrary
+from gfp_grasp.types import TABLETOP, DepthImage, Detection, PointCloud, Proposal, SensorProfile, SupportPlane, View
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -70,11 +71,9 @@ def detect_objects(
     return _detect_in_points(image, up, config)
 
 
-def picture_support(
-    image: DepthImage, up: np.ndarray | None, config: DetectConfig, *, thing: np.ndarray
-) -> SupportPlane | None:
-    """Plane of a depth picture that the points (n, 3) m of a thing stand on, world frame; see `find_table`."""
-    table = find_table(image, up, sensor=config.sensor, thing=thing).best
+def picture_support(image: DepthImage, up: np.ndarray | None, config: DetectConfig) -> SupportPlane | None:
+    """Plane of a depth picture that its objects stand on, world frame; see `find_table`."""
+    table = find_table(image, up, sensor=config.sensor).best
     return None if table is None else table.plane
 
 
@@ -102,9 +101,9 @@ def make_detection(
         config: Switches.
     """
     points = points[:: -(-len(points) // config.max_object_points)]
-    scores = {category: 1.0} if category else {}
+    scores, proposal = {category: 1.0} if category else {}, None
     if config.classify and not category:
-        scores = _scores(points, up, support)
+        scores, proposal = _looked_at(points, up, support, viewpoint)
     return Detection(
         cloud=PointCloud(points, viewpoint),
         up=up,
@@ -116,6 +115,7 @@ def make_detection(
         mask=mask,
         sensor_sigma_m=estimate_sigma(points, viewpoint, sensor=config.sensor),
         sensor=config.sensor,
+        proposal=proposal,
     )
 
 
@@ -178,10 +178,15 @@ def _detect_in_points(cloud: PointCloud, up: np.ndarray | None, config: DetectCo
     )
 
 
-def _scores(points: np.ndarray, up: np.ndarray, support: SupportPlane | None) -> dict[str, float]:
-    from gfp_grasp.detect.classifier import classify  # torch, only where a category is asked for
+def _looked_at(
+    points: np.ndarray, up: np.ndarray, support: SupportPlane | None, viewpoint: np.ndarray | None
+) -> tuple[dict[str, float], Proposal]:
+    """Scores of the shipped classes, and the look that they come from."""
+    from gfp_grasp.detect.classifier import scores_in  # torch, only where a category is asked for
+    from gfp_grasp.detect.proposal import look
 
-    return classify(points, up, support)
+    proposal = look(points, up, support, viewpoint=viewpoint)
+    return scores_in(proposal.embedding, PrimitiveLibrary.shipped()), proposal
 
 
 def estimate_sigma(

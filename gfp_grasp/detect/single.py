@@ -103,7 +103,7 @@ def _support(
             up = guess_up(points, viewpoint, view) if found is None else found.normal
         return SupportPlane(up, support_height)
     if isinstance(view, DepthImage):
-        found = picture_support(view, up, config, thing=points)
+        found = picture_support(view, up, config)
         if found is not None:
             return found
     return find_support(points, up, viewpoint=viewpoint, sensor=config.sensor)

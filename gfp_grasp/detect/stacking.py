@@ -41,7 +41,7 @@ def on_each_other(detections: Sequence[Detection]) -> tuple[Detection, ...]:
     for number, detection in enumerate(masked, start=1):
         height_m = _foot_m(number, labels, points, view, detection)
         if height_m is not None:
-            placed[id(detection)] = replace(detection, support=SupportPlane(detection.up, height_m))
+            placed[id(detection)] = replace(detection, support=SupportPlane(detection.up, height_m), proposal=None)
     return tuple(placed.get(id(detection), detection) for detection in detections)
 
 

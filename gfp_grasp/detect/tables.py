@@ -2,7 +2,7 @@
 
 Planes are found by RANSAC on points with normals. The support is the one on which most stands in the picture: bodies
 that begin at its height, are as small as objects and lie within its outline. Behind a table there may be a floor, and a
-wall beside it; neither is chosen for its size.
+wall beside it; neither is chosen for its size. A lid with a knob on it is the top of what stands on the plane below.
 """
 
 from __future__ import annotations
@@ -35,7 +35,6 @@ _FITTED = 15_000  # points that a plane is fitted to,
 _ROUNDS = 20  # at most so often
 _FACING_DEG = 20.0  # between a plane and the surface of what lies on it
 _MOST_PLANES = 6
-_BELOW = 0.2  # share of a thing's points that no support has below it
 _LEAST_SHARE = 0.02  # of the points that lie on a plane
 _MOST_ROLL = 0.8  # cosine of a plane's normal with the camera's rows from which on it is a wall
 _OVERHEAD = -0.2  # cosine of a plane's normal with the camera's up below which it is a ceiling
@@ -82,6 +81,23 @@ class Tables:
     num_planes: int
 
 
+@dataclass(frozen=True, eq=False)
+class _Candidate:
+    """A plane that may be the support.
+
+    Attributes:
+        table: The plane with the outline of its large pieces.
+        standing: Number of pixels of things that stand on it.
+        middle: (3,) m, mean of its own points.
+        width_m: Its larger extent on the ground.
+    """
+
+    table: Table
+    standing: float
+    middle: np.ndarray
+    width_m: float
+
+
 def keep_on_table(labels: np.ndarray, on_table: np.ndarray) -> np.ndarray:
     """Labels (h, w) of those objects enough of whose pixels are on the table, renumbered: no walls, no chairs."""
     total = np.bincount(labels.ravel())
@@ -101,16 +117,13 @@ def noise_at(points: np.ndarray, viewpoint: np.ndarray, sensor: SensorProfile) -
     return sensor.sigma_m * float(noise_growth(np.asarray(range_m)))
 
 
-def find_table(
-    image: DepthImage, up: np.ndarray | None, *, sensor: SensorProfile, thing: np.ndarray | None = None
-) -> Tables:
+def find_table(image: DepthImage, up: np.ndarray | None, *, sensor: SensorProfile) -> Tables:
     """The plane that the objects of a picture stand on.
 
     Args:
         image: The picture.
         up: (3,) roughly the plane's normal, world frame; None takes any that the camera may look at from above.
         sensor: Its noise and sizes are the units of all thresholds.
-        thing: (n, 3) m, points of what stands on it: a plane with a share of them below is the thing's own, a lid.
     """
     points, normals = _points_and_normals(image)
     known = np.asarray(np.isfinite(points).all(axis=2))
@@ -121,7 +134,7 @@ def find_table(
     slab_m = _SLAB * sensor.sigma_m * noise_growth(range_m)
     whole = known & ~_torn(np.where(known, range_m, 0.0), slab_m)
     aside, camera_up = image.T_world_camera[:3, 0], -image.T_world_camera[:3, 1]
-    best, most, free, count = None, 0.0, oriented.copy(), 0
+    found, free, count = [], oriented.copy(), 0
     for number in range(_MOST_PLANES):
         plane = _largest_plane(points[free], normals[free], slab_m[free], image.viewpoint, up, number)
         if plane is None:
@@ -135,12 +148,22 @@ def find_table(
         free &= ~close  # noise tilts the normals of some of its surface, which is no other plane
         if up is None and (plane.normal @ camera_up < _OVERHEAD or abs(plane.normal @ aside) > _MOST_ROLL):
             continue
-        if thing is not None and np.quantile(plane.distances(thing), _BELOW) < -slab_m[near].max():
-            continue
-        table, standing = _what_stands(plane, near, points, whole, slab_m, sensor)
-        if table is not None and standing > most:
-            best, most = table, standing
-    return Tables(best, count)
+        candidate = _what_stands(plane, near, points, whole, slab_m, sensor)
+        if candidate is not None and candidate.standing > 0:
+            found.append(candidate)
+    tables = [one for one in found if not any(_is_top_of_what_stands_on(one, other, sensor) for other in found)]
+    best = max(tables, key=lambda one: one.standing, default=None)
+    return Tables(None if best is None else best.table, count)
+
+
+def _is_top_of_what_stands_on(one: _Candidate, other: _Candidate, sensor: SensorProfile) -> bool:
+    """Whether a plane is as small as a thing, and as high above a wider one as a thing that stands on that may be."""
+    height_m = float(other.table.plane.distances(one.middle))
+    return (
+        one.width_m < min(_MAX_WIDTH * sensor.largest_m, other.width_m)
+        and _RISES * sensor.sigma_m < height_m < _TALLEST * sensor.largest_m
+        and float(other.table.beyond_m(one.middle)) <= 0.0
+    )
 
 
 def _points_and_normals(image: DepthImage) -> tuple[np.ndarray, np.ndarray]:
@@ -227,8 +250,8 @@ def _what_stands(
     known: np.ndarray,
     slab_m: np.ndarray,
     sensor: SensorProfile,
-) -> tuple[Table | None, float]:
-    """The plane with the outline of its large pieces, and how many pixels of things that stand on it are seen."""
+) -> _Candidate | None:
+    """The plane with the outline of its large pieces, and what stands on it; None where it is a thin strip alone."""
     R = rotation_between(plane.normal, (0.0, 0.0, 1.0))
     # Objects and their shadows part a table top in the picture; specks elsewhere at its height are none of it.
     pieces, _ = _pieces(np.asarray(ndimage.binary_dilation(near, iterations=4)))
@@ -239,7 +262,7 @@ def _what_stands(
         # A wall or a chair that crosses the plane leaves a thin strip in it.
         hull = ConvexHull(ground[np.asarray(ndimage.binary_opening(own, iterations=_STRIP_PX), dtype=bool)])
     except (QhullError, ValueError):
-        return None, 0.0
+        return None
     outline = np.unique(hull.equations, axis=0)
     table = Table(plane, outline, _OUTLINE * sensor.sigma_m, _REACH * sensor.sigma_m)
     heights = plane.distances(np.where(known[..., None], points, 0.0))
@@ -248,7 +271,8 @@ def _what_stands(
     if standing == 0.0:  # the table about an object may be hidden by what stands before it
         table = replace(table, margin_m=table.reach_m)
         standing = _FLOATING * _standing_px(table, above, points @ R.T, heights - slab_m, sensor)
-    return table, min(standing, float(own.sum()))  # a support reaches beyond what stands on it
+    standing = min(standing, float(own.sum()))  # a support reaches beyond what stands on it
+    return _Candidate(table, standing, points[own].mean(axis=0), float(np.ptp(ground[own], axis=0).max()))
 
 
 def _standing_px(

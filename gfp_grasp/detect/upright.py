@@ -34,7 +34,7 @@ def guess_up(points: np.ndarray, viewpoint: np.ndarray | None, view: View | None
     """
     ups, coarse, frame = _possible_ups(points, viewpoint, view)
     up = _axis_of_revolution(points, viewpoint, ups) if len(ups) > len(coarse) else None
-    up = _most_familiar(points, coarse) if up is None else up
+    up = _most_familiar(points, viewpoint, coarse) if up is None else up
     told = ", ".join(f"{value + 0.0:.2f}" for value in up)
     warnings.warn(
         f"no support was seen: up is guessed to be ({told}) by what the object looks like, in {frame}; give up if it "
@@ -103,7 +103,7 @@ def _distance_from_axis(points: np.ndarray, normals: np.ndarray, up: np.ndarray)
     return float(np.minimum(distance, most_m).mean())  # pyright: ignore[reportPossiblyUnboundVariable]
 
 
-def _most_familiar(points: np.ndarray, ups: list[np.ndarray]) -> np.ndarray:
+def _most_familiar(points: np.ndarray, viewpoint: np.ndarray | None, ups: list[np.ndarray]) -> np.ndarray:
     from gfp_grasp.detect.classifier import classify  # torch, only where it is asked for
 
-    return max(ups, key=lambda up: max(classify(points, up).values()))
+    return max(ups, key=lambda up: max(classify(points, up, viewpoint=viewpoint).values()))

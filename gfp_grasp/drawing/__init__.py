@@ -1,5 +1,6 @@
 """Objects, films, pictures, charts and HTML for the viewer, the demonstration, the page of a score and the benches."""
 
+from gfp_grasp.drawing.bench_charts import write_bars, write_confusion, write_curves
 from gfp_grasp.drawing.charts import (
     bracket_chart,
     escaped,
@@ -8,8 +9,6 @@ from gfp_grasp.drawing.charts import (
     reasons_legend,
     spoken,
     without_paths,
-    write_bars,
-    write_curves,
 )
 from gfp_grasp.drawing.gallery import draw_modes, draw_primitives
 from gfp_grasp.drawing.items import Item, gripper_mesh, items_of, joined_boxes, make_item, plan_among
@@ -46,6 +45,7 @@ __all__ = [
     "without_paths",
     "write_bars",
     "write_clip",
+    "write_confusion",
     "write_curves",
     "write_depth",
 ]

@@ -22,7 +22,6 @@ from gymnasium import spaces
 from gfp_grasp.envs import ActionCode
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.journal import write_whole
-from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.score import wilson_interval
 from gfp_grasp.transforms import make_T, rotation_about
 from gfp_grasp.types import Grasp
@@ -95,12 +94,12 @@ def make(objects: str, split: str, limit: int) -> AboutTheCloud:
 
 
 def learn(
-    objects: str | None = None, *, attempts: int = 1000, held_out: int = 100, limit: int = 16, seed: int = 0
+    objects: str = "bottle", *, attempts: int = 1000, held_out: int = 100, limit: int = 16, seed: int = 0
 ) -> dict[str, Any]:
     """Train on the train split, and compare with random choices on the test split.
 
     Args:
-        objects: Families of shapes, with commas between; None takes the first class of the shipped library.
+        objects: Families of shapes, with commas between.
         attempts: Grasps to learn from.
         held_out: Grasps to compare on, at the same seeds for both.
         limit: Objects of each split; up to 16 stay compiled.
@@ -117,7 +116,6 @@ def learn(
         from stable_baselines3 import SAC  # pyright: ignore[reportMissingImports]
     except ImportError as error:
         raise InvalidOption("learning needs Stable-Baselines3: pip install 'gfp-grasp[learn]'") from error
-    objects = objects or PrimitiveLibrary.shipped().categories[0]
     start = time.process_time()
     # One step an episode: no discount, and a network that has to learn no more than which grasps hold.
     model = SAC(
@@ -159,7 +157,7 @@ def _rate(env: AboutTheCloud, policy: Policy, attempts: int, seed: int) -> dict[
 def main(arguments: list[str] | None = None) -> None:
     """The command line."""
     parser = argparse.ArgumentParser(prog="python -m gfp_grasp.examples.learn", description=__doc__)
-    parser.add_argument("--objects", help="families of shapes, with commas between; the first class of the library")
+    parser.add_argument("--objects", default="bottle", help="families of shapes, with commas between")
     parser.add_argument("--attempts", type=int, default=1000, help="grasps to learn from")
     parser.add_argument("--held-out", type=int, default=100, help="grasps to compare on")
     parser.add_argument("--limit", type=int, default=16, help="objects of each split")

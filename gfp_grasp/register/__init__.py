@@ -3,7 +3,7 @@
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from gfp_grasp.register.config import FitConfig, RefineConfig, icp_config, pcrnet_config
+from gfp_grasp.register.config import STARTS, FitConfig, RefineConfig, icp_config, pcrnet_config
 from gfp_grasp.register.fit import fit_best, fit_primitive, part_is_seen
 from gfp_grasp.register.starts import make_starts
 from gfp_grasp.register.state import PoseShape
@@ -12,6 +12,7 @@ if TYPE_CHECKING:
     from gfp_grasp.register.pcrnet import PCRNet, mlp, network_input, rotation_of
 
 __all__ = [
+    "STARTS",
     "FitConfig",
     "PCRNet",
     "PoseShape",

@@ -73,6 +73,7 @@ _QUICK = RefineConfig(steps=(0.208, 0.156, 0.104, 0.083, 0.0625), num_points=100
 _MIDDLE = RefineConfig(steps=(0.156, 0.104, 0.073, 0.052, 0.042), num_points=250, num_samples=1000)
 _THOROUGH = RefineConfig(steps=(0.042, 0.031, 0.031))
 
+STARTS = ("proposal", "box", "pcrnet")
 HYPOTHESES = ("upright", "upside_down", "lying")
 
 
@@ -81,7 +82,9 @@ class FitConfig:
     """How a primitive is registered.
 
     Attributes:
-        start: "pcrnet" corrects every start by the network, "box" leaves it as the box of the points gives it.
+        start: "proposal" starts where one look at the object proposes and, where that is unsure, from boxes; "box"
+            starts from the box of the points in every way that it may rest and be turned; "pcrnet" corrects each of
+            these by the network.
         hypotheses: The ways in which the object may rest on the support.
         quick: Refinement of every start.
         middle: Refinement of the best few starts.
@@ -98,7 +101,7 @@ class FitConfig:
         max_residual: A fit whose trimmed residual is a larger share of the unit has diverged.
     """
 
-    start: Literal["pcrnet", "box"] = "box"
+    start: Literal["proposal", "box", "pcrnet"] = "proposal"
     hypotheses: tuple[str, ...] = HYPOTHESES
     quick: RefineConfig = _QUICK
     middle: RefineConfig = _MIDDLE
@@ -115,8 +118,8 @@ class FitConfig:
     max_residual: float = 0.52
 
     def __post_init__(self) -> None:
-        if self.start not in ("pcrnet", "box"):
-            raise InvalidOption(f"start is {self.start!r}; 'pcrnet' or 'box' is expected")
+        if self.start not in STARTS:
+            raise InvalidOption(f"start is {self.start!r}; one of {', '.join(STARTS)} is expected")
         unknown = set(self.hypotheses) - set(HYPOTHESES)
         if unknown or not self.hypotheses:
             raise InvalidOption(f"hypotheses are {self.hypotheses}; some of {HYPOTHESES} are expected")
@@ -147,7 +150,7 @@ def icp_config(*, size: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> FitConf
     Args:
         size: (3,) scale of the primitive along its axes; ones are its own size.
     """
-    config = FitConfig(roundness=False, size=size, num_kept=1)
+    config = FitConfig(start="box", roundness=False, size=size, num_kept=1)
     return replace(
         config,
         quick=replace(_RIGID, steps=config.quick.steps),

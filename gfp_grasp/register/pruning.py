@@ -11,7 +11,7 @@ from gfp_grasp.errors import FitDiverged
 from gfp_grasp.register.config import FitConfig
 from gfp_grasp.register.occlusion import blocking_cost, truncation_cost
 from gfp_grasp.register.refine import evaluate_states, refine
-from gfp_grasp.register.starts import make_starts
+from gfp_grasp.register.starts import make_starts, proposed_starts
 from gfp_grasp.register.state import PoseShape
 from gfp_grasp.types import GenericPrimitive, LevelView
 
@@ -119,7 +119,8 @@ def _is_same_place(a: PoseShape, b: PoseShape, near_m: float) -> bool:
 
 def _tried(primitive: GenericPrimitive, prior_cost: float, evidence: LevelView, config: FitConfig) -> Search:
     """Every start, refined by the first steps."""
-    states = make_starts(primitive, evidence, config.hypotheses)
+    begin = proposed_starts if config.start == "proposal" else make_starts
+    states = begin(primitive, evidence, config.hypotheses)
     if config.size is not None:
         states = [replace(state, log_scale=np.log(config.size)) for state in states]
     if config.start == "pcrnet":

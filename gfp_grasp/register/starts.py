@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from gfp_grasp.register.state import PoseShape
 from gfp_grasp.transforms import rotation_about, rotation_between
-from gfp_grasp.types import GenericPrimitive, LevelView
+from gfp_grasp.types import GenericPrimitive, LevelView, Proposal
 
 _STANDING_SIGMA_RAD = np.deg2rad(1.0)
 _LYING_SIGMA_RAD = np.deg2rad(15.0)
 _YAWS = 8  # of a body without symmetry
 _LEAST_SCALE = 0.01  # of a start: points may lie in a plane, or below what is taken for the floor
 _FLAT = 1.15  # width over height of the points from which on a lying body may be flat; ours
+_POSSIBLE = 0.05  # probability of a way of resting from which on it is tried beside the likeliest
+_SURE = 0.8  # length of the proposed front from which on no other is tried
 _CUT = 0.5  # cosine from which on a side counts as cut off
 
 
@@ -36,6 +39,48 @@ def make_starts(primitive: GenericPrimitive, evidence: LevelView, hypotheses: tu
         for yaw in _yaws(primitive):
             found.append(_standing(primitive, evidence, hypothesis, box, rotation_about(evidence.up, yaw) @ toward))
     return found
+
+
+def proposed_starts(primitive: GenericPrimitive, evidence: LevelView, hypotheses: tuple[str, ...]) -> list[PoseShape]:
+    """Starts where one look at the object proposes; a way of resting that it holds possible too starts from boxes.
+
+    Where nobody has looked, or not at the primitive's class, these are the starts of `make_starts`.
+    """
+    proposal, rests = evidence.proposal, [way for way in hypotheses if way in primitive.spec.rests]
+    if proposal is None or primitive.category not in proposal.classes or not rests:
+        return make_starts(primitive, evidence, hypotheses)
+    likeliest = max(rests, key=lambda way: proposal.rests[way])
+    possible = tuple(way for way in rests if way != likeliest and proposal.rests[way] > _POSSIBLE)
+    found = [_proposed(primitive, evidence, likeliest, yaw) for yaw in _proposed_yaws(primitive, proposal)]
+    return found + (make_starts(primitive, evidence, possible) if possible else [])
+
+
+def _proposed_yaws(primitive: GenericPrimitive, proposal: Proposal) -> np.ndarray:
+    """Turns about the primitive's own axis that the proposal leaves open."""
+    order = primitive.symmetry.order
+    if not np.isinf(order) and proposal.sure_of_front >= _SURE:
+        return np.zeros(1)
+    return _yaws(primitive)
+
+
+def _proposed(primitive: GenericPrimitive, evidence: LevelView, hypothesis: str, yaw: float) -> PoseShape:
+    """The primitive in the proposed box, on the support, its axis as the hypothesis has it."""
+    assert evidence.proposal is not None
+    box = evidence.proposal.box
+    z, x = box.T_world_box[:3, 2], box.T_world_box[:3, 0]
+    if hypothesis == "lying":
+        z = z - (z @ evidence.up) * evidence.up
+        z = z / max(float(np.linalg.norm(z)), 1e-9)
+    else:
+        z = evidence.up if hypothesis == "upright" else -evidence.up
+    R = _frame(z, x) @ rotation_about((0, 0, 1), yaw)
+    low, high = primitive.vertices.min(axis=0), primitive.vertices.max(axis=0)
+    scale = np.maximum(box.extents / (high - low), _LEAST_SCALE)
+    sigma = _LYING_SIGMA_RAD if hypothesis == "lying" else _STANDING_SIGMA_RAD
+    state = _state(primitive, R, np.zeros(3), scale, sigma, hypothesis)
+    centre = box.T_world_box[:3, 3] - R @ (np.exp(state.log_scale) * (low + high) / 2)
+    lowest = float((state.world(primitive.vertices) @ evidence.up).min())
+    return replace(state, t=centre + (evidence.floor_m - lowest - float(centre @ evidence.up)) * evidence.up)
 
 
 @dataclass(frozen=True, eq=False)
@@ -171,7 +216,7 @@ def _state(
     primitive: GenericPrimitive,
     R: np.ndarray,
     centre: np.ndarray,
-    scale: tuple[float, float, float],
+    scale: ArrayLike,
     axis_sigma_rad: float,
     hypothesis: str,
 ) -> PoseShape:

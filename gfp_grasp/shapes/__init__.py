@@ -1,6 +1,6 @@
 """Procedural members of thirty classes, and endless kinds of other things: seeded, watertight, metric, upright."""
 
-from gfp_grasp.shapes.assorted import make_assorted
+from gfp_grasp.shapes.assorted import foreign_kinds, make_assorted
 from gfp_grasp.shapes.family import Family
 from gfp_grasp.shapes.shape import FAMILIES, HOUSEHOLD, SPLITS, TRAFFIC, Shape, get_family, make_shape, split_seeds
 
@@ -11,6 +11,7 @@ __all__ = [
     "TRAFFIC",
     "Family",
     "Shape",
+    "foreign_kinds",
     "get_family",
     "make_assorted",
     "make_shape",

@@ -1,11 +1,12 @@
 """Endless kinds of things of no class: what a network sees so that it can tell kinds apart that it never saw.
 
 A kind is a way to make things and a size; its members are as unlike as those of a class are. The same number of kind
-and of member give the same thing. Kinds keep away from the families: no mug, no cup and no bottle is among them.
+and of member give the same thing. No kind is one of the families, but some could be taken for one: see `foreign_kinds`.
 """
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Callable, Sequence
 from zlib import crc32
 
@@ -17,6 +18,12 @@ from gfp_grasp.transforms import make_T, rotation_about
 
 _GRID = np.linspace(0.0, 1.0, 25)
 _SECTIONS = 32
+
+
+def foreign_kinds(first: int, count: int) -> tuple[int, ...]:
+    """So many numbers of kinds, from a first one on, whose members could be taken for none of the families."""
+    kinds = (kind for kind in itertools.count(first) if _MAKERS[kind % len(_MAKERS)] in _FOREIGN)
+    return tuple(itertools.islice(kinds, count))
 
 
 def make_assorted(kind: int, member: int) -> trimesh.Trimesh:
@@ -283,3 +290,4 @@ def _loop(draw: _Draw, radius: float, low: float, span: float, reach: float) -> 
 _MAKERS: tuple[Callable[[_Draw], trimesh.Trimesh], ...] = (
     _block, _can, _dish, _pot, _ball, _rod, _cone, _heap, _goblet, _jug, _slab, _body_on_legs,
 )  # fmt: skip
+_FOREIGN = (_ball, _rod, _cone, _heap, _slab)

@@ -12,6 +12,8 @@ import trimesh
 # Prior share of a variant, exp(-2.5): a view must speak for the variant by 2.5 in negative log odds before it wins over
 # its class.
 _SHARE_OF_VARIANT = 0.0820849986
+# What is known of a class that holds for its variants, too.
+_SHARED = ("rests", "hollow", "density_kg_m3", "optional_parts")
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +68,7 @@ class Family:
         _, _, variant = name.partition(".")
         if not variant:
             return dict(self.spec)
-        shared = {key: value for key, value in self.spec.items() if key in ("rests", "hollow", "density_kg_m3")}
+        shared = {key: self.spec[key] for key in _SHARED if key in self.spec}
         return {**shared, "share": _SHARE_OF_VARIANT, **self.variants[variant]}
 
 

@@ -3,7 +3,6 @@
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from gfp_grasp.train.classifier_data import CACHE, Example, alike_in, assorted_examples, class_examples
 from gfp_grasp.train.primitives import (
     build_from_folder,
     build_from_shapes,
@@ -12,28 +11,31 @@ from gfp_grasp.train.primitives import (
     shipped_names,
     with_spec,
 )
-from gfp_grasp.train.views import View, ViewsConfig, across_edge, render_views, rest_rotation, shape_source
+from gfp_grasp.train.proposal_data import CACHE, Example, assorted_examples, class_examples
+from gfp_grasp.train.rests import rest_rotation
+from gfp_grasp.train.views import View, ViewsConfig, across_edge, render_views, shape_source
 
 if TYPE_CHECKING:
-    from gfp_grasp.train.classifier import ClassifierConfig, make_prototypes, train_classifier, with_prototypes
     from gfp_grasp.train.gfpnet import GFPNET_CONFIGS, paper_loss, patches_of_split, train_gfpnet
     from gfp_grasp.train.instances import InstancesConfig, train_instances
     from gfp_grasp.train.loop import Batch, LoopConfig, shuffled, train
     from gfp_grasp.train.pcrnet import PCRNET_CONFIG, train_pcrnet
+    from gfp_grasp.train.proposal import train_proposal
+    from gfp_grasp.train.proposal_batches import ProposalConfig
+    from gfp_grasp.train.prototypes import make_prototypes, with_prototypes
 
 __all__ = [
     "CACHE",
     "GFPNET_CONFIGS",
     "PCRNET_CONFIG",
     "Batch",
-    "ClassifierConfig",
     "Example",
     "InstancesConfig",
     "LoopConfig",
+    "ProposalConfig",
     "View",
     "ViewsConfig",
     "across_edge",
-    "alike_in",
     "assorted_examples",
     "build_from_folder",
     "build_from_shapes",
@@ -49,23 +51,24 @@ __all__ = [
     "shipped_names",
     "shuffled",
     "train",
-    "train_classifier",
     "train_gfpnet",
     "train_instances",
     "train_pcrnet",
+    "train_proposal",
     "with_prototypes",
     "with_spec",
 ]
 
 # These bring torch, and so come with the first use of one of them.
 _WITH_TORCH = {
-    **dict.fromkeys(("ClassifierConfig", "train_classifier"), "classifier"),
+    **dict.fromkeys(("train_proposal",), "proposal"),
+    **dict.fromkeys(("ProposalConfig",), "proposal_batches"),
     **dict.fromkeys(("GFPNET_CONFIGS", "train_gfpnet"), "gfpnet"),
     **dict.fromkeys(("InstancesConfig", "train_instances"), "instances"),
     **dict.fromkeys(("paper_loss", "patches_of_split"), "gfpnet"),
     **dict.fromkeys(("Batch", "LoopConfig", "shuffled", "train"), "loop"),
     **dict.fromkeys(("PCRNET_CONFIG", "train_pcrnet"), "pcrnet"),
-    **dict.fromkeys(("make_prototypes", "with_prototypes"), "classifier"),
+    **dict.fromkeys(("make_prototypes", "with_prototypes"), "prototypes"),
 }
 
 

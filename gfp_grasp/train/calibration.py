@@ -2,31 +2,31 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 
 import numpy as np
 
 from gfp_grasp.detect import (
     NUM_POINTS,
-    POOL_POINTS,
     Calibration,
-    EmbeddingNet,
+    ProposalNet,
     Prototypes,
-    embed_clouds,
+    look_at_clouds,
     sample_points,
     score_table,
-    upright_points,
-    with_surface,
+    size_of,
 )
-from gfp_grasp.train.classifier_data import UP, Example, above_table
-from gfp_grasp.types import SupportPlane
+from gfp_grasp.train.proposal_batches import placed_in_seen_frame, seen_cloud
+from gfp_grasp.train.proposal_data import Example
+from gfp_grasp.transforms import rotation_about
+from gfp_grasp.types import RESTS
 
 _UNKNOWN_WEIGHT = 0.2  # in the calibration: an even spread for what is of no class, against a right answer
-_TABLE = SupportPlane(UP, 0.0)
 
 
 def calibrate(
-    network: EmbeddingNet,
+    network: ProposalNet,
     prototypes: Mapping[str, Prototypes],
     known: Sequence[Example],
     unknown: Sequence[Example],
@@ -55,7 +55,7 @@ def _table(embeddings: np.ndarray, prototypes: Mapping[str, Prototypes], calibra
 
 
 def _scores(
-    network: EmbeddingNet,
+    network: ProposalNet,
     prototypes: Mapping[str, Prototypes],
     calibration: Calibration,
     examples: Sequence[Example],
@@ -70,7 +70,7 @@ def _right(scores: np.ndarray, names: Sequence[str], examples: Sequence[Example]
 
 
 def measure(
-    network: EmbeddingNet,
+    network: ProposalNet,
     prototypes: Mapping[str, Prototypes],
     calibration: Calibration,
     test: Sequence[Example],
@@ -96,12 +96,43 @@ def measure(
     }
 
 
-def embedded(network: EmbeddingNet, examples: Sequence[Example], *, table_known: bool = True) -> np.ndarray:
-    """Embeddings (e, c) of examples, one turn each."""
+def measure_pose(network: ProposalNet, test: Sequence[Example]) -> dict[str, object]:
+    """Errors of pose and box on views of the classes: medians, and shares of wrong rests and of wrong fronts."""
+    placed = [example for example in test if example.placed is not None]
+    clouds = _clouds(placed)
+    seen = look_at_clouds(clouds, network)
+    unit_m = size_of(clouds[..., :3])
+    up_deg, front_deg, size, centre_m = [], [], [], []
+    for i, example in enumerate(placed):
+        truth = placed_in_seen_frame(example)
+        up_deg.append(_angle_deg(seen.up[i], truth.R[:, 2]))
+        if not math.isinf(truth.order):
+            turns = [truth.R @ rotation_about((0, 0, 1), 2 * np.pi * k / truth.order) for k in range(int(truth.order))]
+            front_deg.append(min(_angle_deg(seen.front[i], R[:, 0]) for R in turns))
+        size.append(np.abs(seen.log_extents[i] + np.log(unit_m[i]) - np.log(truth.extents)).mean())
+        centre_m.append(np.linalg.norm(seen.centre[i] * unit_m[i] - truth.centre) / np.linalg.norm(truth.extents))
+    rests = [RESTS[k] for k in np.asarray(seen.rests).argmax(axis=1)]
+    return {
+        "wrong_rest": round(float(np.mean([r != e.resting for r, e in zip(rests, placed, strict=True)])), 4),
+        "up_deg": round(float(np.median(up_deg)), 2),
+        "front_deg": round(float(np.median(front_deg)), 2),
+        "front_over_30_deg": round(float(np.mean(np.array(front_deg) > 30)), 4),
+        "size_error": round(float(np.median(size)), 4),
+        "centre_error": round(float(np.median(centre_m)), 4),
+    }
+
+
+def _angle_deg(a: np.ndarray, b: np.ndarray) -> float:
+    cosine = float(a @ b) / max(float(np.linalg.norm(a) * np.linalg.norm(b)), 1e-9)
+    return float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+
+
+def embedded(network: ProposalNet, examples: Sequence[Example], *, table_known: bool = True) -> np.ndarray:
+    """Embeddings (e, c) of examples."""
+    return np.asarray(look_at_clouds(_clouds(examples, table_known=table_known), network).embedding)
+
+
+def _clouds(examples: Sequence[Example], *, table_known: bool = True) -> np.ndarray:
+    """(e, NUM_POINTS, 9)."""
     rng = np.random.default_rng(0)
-    table = _TABLE if table_known else None
-    clouds = []
-    for example in examples:
-        pool = with_surface(sample_points(upright_points(above_table(example), UP, table), POOL_POINTS, rng))
-        clouds.append(sample_points(pool, NUM_POINTS, rng))
-    return embed_clouds(np.stack(clouds), network)
+    return np.stack([sample_points(seen_cloud(e, rng, table_known=table_known), NUM_POINTS, rng) for e in examples])

@@ -28,6 +28,7 @@ from gfp_grasp.deform import (
 )
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.register import FitConfig
+from gfp_grasp.scenes import shipped_families
 from gfp_grasp.train.labels import make_labels
 from gfp_grasp.train.loop import Batch, LoopConfig, shuffled, train, write_weights
 from gfp_grasp.train.patch_data import Objects, PrimitiveTable, augmented, load_objects, single_patches
@@ -63,7 +64,7 @@ def patches_of_split(split: str, num_views: int, limit: int | None, runs: Path, 
     make = partial(
         make_labels, library=library, split=split, num_views=num_views, limit=limit, runs=runs, workers=workers
     )
-    objects, _ = load_objects(make, PrimitiveTable.of(library, library.categories))
+    objects, _ = load_objects(make, PrimitiveTable.of(library, shipped_families()))
     return single_patches(objects)
 
 
@@ -114,7 +115,8 @@ def train_gfpnet(
 
     Args:
         variant: "patch" (per-point decoder), "paper-iterative" or "paper-oneshot".
-        classes: Classes whose shapes are learnt from; None takes all of the library.
+        classes: Classes whose shapes are learnt from; None takes all of the library, the household ones of the shipped
+            one.
         library: Their primitives; None takes the shipped ones.
         config: Schedule; None is the variant's own.
         num_views: Views of each shape.
@@ -130,8 +132,9 @@ def train_gfpnet(
         Path of the card.
     """
     config = config or GFPNET_CONFIGS[variant]
+    classes = classes or (shipped_families() if library is None else library.categories)
     library = library or PrimitiveLibrary.shipped()
-    table = PrimitiveTable.of(library, tuple(classes or library.categories))
+    table = PrimitiveTable.of(library, tuple(classes))
     torch.manual_seed(config.seed)
     make = partial(make_labels, library=library, num_views=num_views, runs=runs, workers=workers, fit=fit, data=data)
     objects, counts = load_objects(partial(make, split="train", limit=limit), table)

@@ -18,6 +18,7 @@ from gfp_grasp.datasets import layout_of
 from gfp_grasp.level import make_level_view
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.register import PCRNet, PoseShape, make_starts, network_input, rotation_of
+from gfp_grasp.scenes import shipped_families
 from gfp_grasp.train.loop import Batch, LoopConfig, shuffled, train, write_weights
 from gfp_grasp.train.views import View, cached_views
 from gfp_grasp.transforms import invert_T, rotation_about, rotation_between
@@ -43,7 +44,8 @@ def train_pcrnet(
 
     Args:
         config: Schedule.
-        classes: Classes whose shapes are learnt from; None takes all of the library.
+        classes: Classes whose shapes are learnt from; None takes all of the library, the household ones of the shipped
+            one.
         library: Their primitives; None takes the shipped ones.
         data: Folder of meshes, as `read_dataset` takes it; None takes procedural shapes.
         num_views: Views of each shape.
@@ -56,8 +58,8 @@ def train_pcrnet(
         Path of the card.
     """
     torch.manual_seed(config.seed)
+    categories = tuple(classes or (shipped_families() if library is None else library.categories))
     library = library or PrimitiveLibrary.shipped()
-    categories = tuple(classes or library.categories)
 
     def samples(split: str, seed: int, copies: int) -> Batch:
         rows = []

@@ -219,7 +219,7 @@ def _recognisable(
     primitive: GenericPrimitive, seed: int, meshes: list[trimesh.Trimesh] | None = None
 ) -> GenericPrimitive:
     """The primitive with what the classifier knows its class by."""
-    from gfp_grasp.train.classifier import with_prototypes  # brings torch
+    from gfp_grasp.train.prototypes import with_prototypes  # brings torch
 
     return with_prototypes(primitive, meshes=meshes, seed=seed)
 

@@ -24,8 +24,9 @@ from gfp_grasp.errors import InvalidMesh, InvalidOption
 from gfp_grasp.parallel import pmap
 from gfp_grasp.scenes import ObjectSource
 from gfp_grasp.shapes import split_seeds
-from gfp_grasp.transforms import make_T, random_rotation, rotation_about
-from gfp_grasp.types import Detection, OrientedBox, PointCloud, SupportPlane
+from gfp_grasp.train.rests import draw_rest, ways_of_shape
+from gfp_grasp.transforms import make_T
+from gfp_grasp.types import RESTS, Detection, OrientedBox, PointCloud, SupportPlane
 
 CACHE = Path("runs/views")
 _MIN_PIXELS = 60
@@ -133,7 +134,8 @@ def render_views(
 ) -> list[View]:
     """Views of one shape, the same for the same arguments; a shape that is never in sight gives fewer."""
     rng = np.random.default_rng([first_seed, seed_of(source), sum(map(ord, source.category))])
-    return views_of_mesh(source, source.load_mesh(), rng, num_views=num_views, config=config)
+    ways = ways_of_shape(source.family, source.seed)
+    return views_of_mesh(source, source.load_mesh(), rng, num_views=num_views, config=config, ways=ways)
 
 
 def views_of_mesh(
@@ -143,10 +145,12 @@ def views_of_mesh(
     *,
     num_views: int,
     config: ViewsConfig = ViewsConfig(),
+    ways: tuple[str, ...] = RESTS,
 ) -> list[View]:
     """Views of a mesh; one that is never in sight gives fewer.
 
-    What is larger than things on a table is looked at from farther away in proportion.
+    It rests in the first of the ways, unless it has fallen: then in any other. What is larger than things on a table is
+    looked at from farther away in proportion.
     """
     zoom = max(1.0, float(mesh.extents.max()) / _LARGEST_M)
     if zoom > 1:
@@ -156,7 +160,7 @@ def views_of_mesh(
     views = []
     for _ in range(num_views):
         for _ in range(_TRIES):
-            view = _one_view(source, mesh, rng, K, config)
+            view = _one_view(source, mesh, rng, K, config, ways)
             if view is not None:
                 views.append(view if zoom == 1 else _enlarged(view, zoom))
                 break
@@ -244,9 +248,14 @@ def config_id(config: object) -> str:
 
 
 def _one_view(
-    source: ObjectSource, shape: trimesh.Trimesh, rng: np.random.Generator, K: np.ndarray, config: ViewsConfig
+    source: ObjectSource,
+    shape: trimesh.Trimesh,
+    rng: np.random.Generator,
+    K: np.ndarray,
+    config: ViewsConfig,
+    ways: tuple[str, ...],
 ) -> View | None:
-    resting, T = _rest(np.asarray(shape.vertices), rng, config)
+    resting, T = draw_rest(np.asarray(shape.vertices), rng, config.fallen_share, ways)
     mesh = shape.copy()
     mesh.apply_transform(T)
     target = mesh.bounds.mean(axis=0) + rng.uniform(-0.03, 0.03, 3)
@@ -273,34 +282,10 @@ def _enlarged(view: View, zoom: float) -> View:
     return replace(view, points=zoom * view.points, viewpoint=zoom * view.viewpoint, T_world_object=T)
 
 
-def rest_rotation(resting: str, roll_rad: float = 0.0) -> np.ndarray:
-    """Rotation (3, 3) of an object that stands upright into the way it rests.
-
-    Args:
-        resting: "upright", "upside_down" or "lying".
-        roll_rad: Turn about its own axis before it lies down.
-    """
-    if resting == "upside_down":
-        return rotation_about((1, 0, 0), np.pi)
-    if resting == "lying":
-        return rotation_about((0, 1, 0), np.pi / 2) @ rotation_about((0, 0, 1), roll_rad)
-    return np.eye(3)
-
-
 def across_edge(shape: tuple[int, ...], angle_rad: float) -> np.ndarray:
     """(h, w) px, how far each pixel lies beyond a straight edge through the first pixel, which an occluder may have."""
     rows, columns = np.indices(shape)
     return rows * np.sin(angle_rad) + columns * np.cos(angle_rad)
-
-
-def _rest(vertices: np.ndarray, rng: np.random.Generator, config: ViewsConfig) -> tuple[str, np.ndarray]:
-    """How the object rests on z = 0, and its pose."""
-    resting = "upright" if rng.random() >= config.fallen_share else ("upside_down", "lying")[int(rng.integers(2))]
-    turn = random_rotation(rng) if resting == "lying" else np.eye(3)
-    R = rest_rotation(resting, float(np.arctan2(turn[1, 0], turn[0, 0])))
-    R = rotation_about((0, 0, 1), rng.uniform(0, 2 * np.pi)) @ R
-    turned = vertices @ R.T
-    return resting, make_T(R, (0.0, 0.0, -turned[:, 2].min()))
 
 
 def _occlude(mask: np.ndarray, rng: np.random.Generator) -> np.ndarray:
@@ -323,7 +308,6 @@ __all__ = [
     "config_id",
     "read_views",
     "render_views",
-    "rest_rotation",
     "seed_of",
     "shape_source",
     "training_sources",

@@ -17,6 +17,7 @@ from gfp_grasp.types.observation import (
     LevelView,
     OrientedBox,
     PointCloud,
+    Proposal,
     Silhouette,
     SupportPlane,
 )
@@ -76,6 +77,7 @@ __all__ = [
     "OrientedBox",
     "Outcome",
     "PointCloud",
+    "Proposal",
     "RangeImage",
     "SensorProfile",
     "Silhouette",

@@ -69,6 +69,29 @@ class SupportPlane:
 
 
 @dataclass(frozen=True, eq=False)
+class Proposal:
+    """What one look at an object says of its pose and size, before anything is fitted.
+
+    Attributes:
+        box: The object's box along its own axes: z up as it is used, x to its front or its handle; world frame.
+        rests: Probability of each way in which it may rest, see `gfp_grasp.types.RESTS`.
+        sure_of_front: 0 where nothing is known of x, as for a body of revolution, to 1.
+        classes: The classes that what looked has learnt from: of others it does not know which way their x is.
+        embedding: (c,) unit vector that is compared with the prototypes of primitives.
+    """
+
+    box: OrientedBox
+    rests: Mapping[str, float]
+    sure_of_front: float
+    classes: tuple[str, ...]
+    embedding: np.ndarray
+
+    def moved(self, T: np.ndarray) -> Proposal:
+        """The same in another frame, T_new_old (4, 4)."""
+        return replace(self, box=OrientedBox(T @ self.box.T_world_box, self.box.extents))
+
+
+@dataclass(frozen=True, eq=False)
 class Detection:
     """One object in the cloud.
 
@@ -83,6 +106,7 @@ class Detection:
         mask: (h, w) bool, this object's pixels in the view, or None.
         sensor_sigma_m: Standard deviation of the range noise, as given or estimated.
         sensor: What the sensor is like.
+        proposal: What one look at the points proposes, or None where nobody has looked.
     """
 
     cloud: PointCloud
@@ -95,6 +119,7 @@ class Detection:
     mask: np.ndarray | None = None
     sensor_sigma_m: float = 0.0015
     sensor: SensorProfile = TABLETOP
+    proposal: Proposal | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "up", checked_vector(self.up, 3, "up", InvalidCloud))
@@ -176,6 +201,7 @@ class LevelView:
         sigma_m: Standard deviation of the points' noise.
         cut: (3,) unit: normal of the plane through the viewpoint beyond which something hides the object; None where
             all of its outline is seen.
+        proposal: Pose and box that one look proposes, in the level frame, or None.
     """
 
     T_world_level: np.ndarray
@@ -191,6 +217,7 @@ class LevelView:
     sensor: SensorProfile
     sigma_m: float
     cut: np.ndarray | None = None
+    proposal: Proposal | None = None
 
     def __post_init__(self) -> None:
         for name in ("T_world_level", "dense_points", "dense_normals", "points", "normals"):

@@ -1,17 +1,19 @@
-"""What the classifier learns from, how prototypes come about, and that training can be done again."""
+"""What the proposal network learns from, how prototypes come about, and that training can be done again."""
+
+import json
 
 import numpy as np
 import pytest
 import torch
 
-from gfp_grasp.detect import EmbeddingNet, class_scores, mixture
+from gfp_grasp.detect import Look, ProposalNet, class_scores, mixture
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.shapes import make_assorted, make_shape, split_seeds
-from gfp_grasp.train import ClassifierConfig, alike_in, assorted_examples, class_examples, make_prototypes
+from gfp_grasp.train import ProposalConfig, assorted_examples, class_examples, make_prototypes, train_proposal
 from gfp_grasp.train.calibration import calibrate, embedded
-from gfp_grasp.train.classifier import NUM_PROTOTYPES, cluster, train_classifier
-from gfp_grasp.train.classifier_data import VIEWS, Example, part_in_view
+from gfp_grasp.train.proposal_data import VIEWS, Example, part_in_view
+from gfp_grasp.train.prototypes import NUM_PROTOTYPES, cluster
 
 CLASSES = PrimitiveLibrary.shipped().categories
 
@@ -49,27 +51,50 @@ def test_a_handle_behind_the_body_is_not_seen_and_one_at_the_side_is():
 
 def test_cups_and_mugs_count_apart_only_where_a_handle_is_seen(tmp_path, few_shapes):
     def views(name: str) -> list[Example]:
-        return class_examples(name, "val", num_views=2, alike=alike_in(CLASSES, name), folder=tmp_path)
+        return class_examples(name, "val", num_views=2, classes=CLASSES, folder=tmp_path)
 
     cups, mugs, bottles = views("cup"), views("mug"), views("bottle")
-    assert {e.answers for e in mugs} <= {("mug",), ("mug", "cup")}
-    assert {(e.answers, e.accepted) for e in cups} == {(("cup",), ("cup", "mug"))}
+    assert {e.answers for e in mugs} <= {("mug",), ("mug", "cup", "glass")}
+    assert {(e.answers, e.accepted) for e in cups} == {(("cup",), ("cup", "mug", "glass"))}
     assert {e.accepted for e in bottles} == {("bottle",)}
     again = views("cup")  # from the cache, which keeps float32
     np.testing.assert_allclose(again[0].points, cups[0].points, atol=1e-6)
 
 
+def test_the_points_of_an_example_fill_the_box_in_which_their_object_is_placed(tmp_path, few_shapes):
+    for name in ("mug", "bottle"):
+        examples = class_examples(name, "val", num_views=3, classes=CLASSES, folder=tmp_path)
+        assert {e.resting for e in examples} >= {"upright"}
+        for example in examples:
+            placed = example.placed
+            assert placed is not None
+            local = (example.points - placed.centre) @ placed.R / placed.extents
+            low, high = np.quantile(local, (0.05, 0.95), axis=0)  # without pixels that fly behind edges
+            assert max(-low.min(), high.max()) < 0.58
+            assert (high - low).max() > 0.6  # along one axis at least the box is filled
+            assert np.linalg.norm(example.viewpoint - placed.centre) > 0.3
+
+
 def test_assorted_views_are_of_their_own_kinds_and_above_the_table(tmp_path):
-    examples = assorted_examples(range(3), num_members=2, num_views=1, folder=tmp_path)
-    assert {e.category for e in examples} == {"assorted-0", "assorted-1", "assorted-2"}
+    examples = assorted_examples(0, 3, num_members=2, num_views=1, folder=tmp_path)
+    assert {e.category for e in examples} == {"assorted-4", "assorted-5", "assorted-6"}
+    assert {e.placed for e in examples} == {None}
     assert min(np.median(e.points[:, 2]) for e in examples) > 0
     assert max(len(e.points) for e in examples) < 2 * VIEWS.num_points
 
 
-def test_large_things_are_seen_as_well_as_small_ones(tmp_path):
-    lorry = next(k for k in range(11, 1200, 12) if make_assorted(k, 0).extents.max() > 1)
-    example = assorted_examples([lorry], num_members=1, num_views=1, folder=tmp_path)[0]
-    assert np.ptp(example.points, axis=0).max() > 0.3 * make_assorted(lorry, 0).extents.max()
+def test_large_things_are_seen_as_well_as_small_ones(tmp_path, monkeypatch):
+    monkeypatch.setattr(
+        "gfp_grasp.train.views.split_seeds", lambda family, split, limit: split_seeds(family, split)[:1]
+    )
+    examples = class_examples("pedestrian", "val", num_views=3, classes=CLASSES, folder=tmp_path)
+    assert len(examples) == 3
+    for example in examples:
+        assert example.placed is not None
+        tall_m = example.placed.extents[2]
+        assert tall_m > 0.8
+        assert np.ptp(example.points, axis=0).max() > 0.3 * tall_m
+        assert example.resting == "upright"
 
 
 def test_clusters_are_the_middles_of_what_lies_together():
@@ -83,7 +108,7 @@ def test_clusters_are_the_middles_of_what_lies_together():
 
 
 def test_prototypes_are_unit_vectors_of_what_members_look_like():
-    network = EmbeddingNet(8, width=8).eval()
+    network = ProposalNet(8, width=8).eval()
     primitive = PrimitiveLibrary.shipped().primitive(CLASSES[0])
     few = make_prototypes(primitive, network=network, num_views=4)
     np.testing.assert_allclose(np.linalg.norm(few, axis=1), 1)
@@ -91,17 +116,17 @@ def test_prototypes_are_unit_vectors_of_what_members_look_like():
     np.testing.assert_array_equal(few, make_prototypes(primitive, network=network, num_views=4))
 
 
-class _SizeOnly(EmbeddingNet):
+class _SizeOnly(ProposalNet):
     """Embeds a cloud as the angle that is the logarithm of its size."""
 
-    def forward(self, features: torch.Tensor) -> torch.Tensor:
-        angle = features[:, 0, -1]
-        return torch.stack([angle.cos(), angle.sin()], dim=1)
+    def forward(self, features: torch.Tensor) -> Look[torch.Tensor]:
+        angle, axes = features[:, 0, 10], torch.zeros(len(features), 3)
+        return Look(torch.stack([angle.cos(), angle.sin()], dim=1), axes, axes, axes, axes, axes)
 
 
 def _things(scale: float, name: str) -> list[Example]:
     points = scale * (np.random.default_rng(0).normal(size=(200, 3)) + np.array([0, 0, 4]))
-    return [Example(points, name, "", (name,), (name,), "upright")] * 4
+    return [Example(points, np.array([9.0, 0.0, 9.0]), name, "", (name,), (name,), "upright", None)] * 4
 
 
 def test_calibration_is_sure_of_what_is_told_apart_and_unsure_of_the_rest():
@@ -115,17 +140,21 @@ def test_calibration_is_sure_of_what_is_told_apart_and_unsure_of_the_rest():
 
 
 @pytest.mark.slow
-def test_training_runs_resumes_and_leaves_weights_with_a_card(tmp_path, few_shapes, monkeypatch):
-    monkeypatch.setattr("gfp_grasp.train.classifier._NUM_VIEWS", 4)
-    config = ClassifierConfig(steps=6, batch=8, width=8, channels=8, views=1, kinds=10, members=1)
-    metrics = train_classifier(config, out=tmp_path / "out", cache=tmp_path)
-    first = (tmp_path / "out" / "classifier.safetensors").read_bytes()
-    assert metrics["test_views"]
-    assert metrics == train_classifier(config, out=tmp_path / "out", cache=tmp_path)  # from the last checkpoint
-    assert (tmp_path / "out" / "classifier.safetensors").read_bytes() == first
+def test_training_runs_resumes_and_leaves_weights_with_a_card(tmp_path, few_shapes):
+    config = ProposalConfig(steps=6, batch=8, width=8, channels=8, views=1, kinds=10, members=1)
+    metrics = train_proposal(config, classes=CLASSES, out=tmp_path / "out", cache=tmp_path)
+    first = (tmp_path / "out" / "proposal.safetensors").read_bytes()
+    card = json.loads((tmp_path / "out" / "proposal.json").read_text(encoding="utf-8"))
+    assert card["metrics"] == metrics
+    assert card["data"]["classes"] == list(CLASSES)
+    assert metrics["test_views"] == 3 * 3 * 4
+    assert {"accuracy", "temperature", "reach", "up_deg", "front_deg", "size_error"} < set(metrics)
+    again = train_proposal(config, classes=CLASSES, out=tmp_path / "out", cache=tmp_path)  # from the last checkpoint
+    assert metrics == again
+    assert (tmp_path / "out" / "proposal.safetensors").read_bytes() == first
 
 
-@pytest.mark.parametrize("wrong", [{"views": 0}, {"share": 1.0}, {"unknown_table": 1.5}])
+@pytest.mark.parametrize("wrong", [{"views": 0}, {"share": 1.0}, {"unknown_table": 1.5}, {"unknown_viewpoint": -0.5}])
 def test_nonsense_in_a_training_config_is_refused(wrong):
     with pytest.raises(InvalidOption):
-        ClassifierConfig(**wrong)
+        ProposalConfig(**wrong)
