@@ -6,6 +6,7 @@ import pytest
 from gfp_grasp.bench.registration import RegistrationConfig, _errors, bench_registration
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.primitives import PrimitiveLibrary
+from gfp_grasp.shapes import HOUSEHOLD
 from gfp_grasp.train.views import render_views, shape_source
 from gfp_grasp.transforms import make_T, rotation_about
 from gfp_grasp.types import FittedPrimitive
@@ -31,8 +32,8 @@ def test_every_class_is_fitted_and_counted() -> None:
     report = bench_registration(starts=("box",), config=RegistrationConfig(views=1, limit=1))
     rows = report["rows"]
     assert isinstance(rows, dict)
-    assert set(rows) == {"cup", "mug", "bottle", "all"}
-    assert rows["all"]["box"]["views"] == 3
+    assert set(rows) == {*HOUSEHOLD, "all"}
+    assert rows["all"]["box"]["views"] == 20
     assert rows["cup"]["box"]["yaw_deg"] is None
 
 
