@@ -147,7 +147,7 @@ def test_training_runs_resumes_and_leaves_weights_with_a_card(tmp_path, few_shap
     card = json.loads((tmp_path / "out" / "proposal.json").read_text(encoding="utf-8"))
     assert card["metrics"] == metrics
     assert card["data"]["classes"] == list(CLASSES)
-    assert metrics["test_views"] == 3 * 3 * 4
+    assert metrics["test_views"] == len(CLASSES) * 3 * 4
     assert {"accuracy", "temperature", "reach", "up_deg", "front_deg", "size_error"} < set(metrics)
     again = train_proposal(config, classes=CLASSES, out=tmp_path / "out", cache=tmp_path)  # from the last checkpoint
     assert metrics == again
