@@ -132,7 +132,7 @@ def shots(monkeypatch: pytest.MonkeyPatch) -> Recorder:
     return recorded(monkeypatch, "gfp_grasp.drawing.pictures.shade", "frame")
 
 
-@pytest.mark.parametrize(("named", "num"), [({}, 4), ({"commands_a_frame": 10}, 5)])
+@pytest.mark.parametrize(("named", "num"), [({}, 3), ({"commands_a_frame": 10}, 5)])
 def test_a_film_has_a_frame_every_few_commands_and_one_of_the_end(
     named: dict[str, Any], num: int, shots: Recorder, monkeypatch: pytest.MonkeyPatch
 ) -> None:

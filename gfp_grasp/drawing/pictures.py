@@ -160,8 +160,8 @@ def _shaded(image: DepthImage, rgb: tuple[float, float, float]) -> np.ndarray:
     return np.array(rgb) * (0.45 + 0.55 * facing)[..., None]
 
 
-# 160 ms of simulation between two frames, which are shown for 80 ms each.
-_COMMANDS_A_FRAME = 16
+# 240 ms of simulation between two frames, which are shown for 80 ms each.
+_COMMANDS_A_FRAME = 24
 FRAME_PX = (400, 300)
 # The camera looks down by this much, from the side of the front right. It has the object in view where it stands, and
 # the whole gripper at the top of the lift.
