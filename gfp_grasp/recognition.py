@@ -10,8 +10,8 @@ import numpy as np
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.types import Detection, GenericPrimitive
 
-# Below this the best class is an opinion, not a finding: of held-out views of the classes one in ten is below it, of
-# things of no class seven in ten are.
+# Below this the best class is an opinion, not a finding: on the network before this one, one held-out view in ten of
+# the classes was below it, and seven in ten of things of no class.
 SURE_SCORE = 0.7
 _LEAST_SCORE = 1e-6
 

@@ -24,7 +24,7 @@ from gfp_grasp.bench.finding import (
     room_pictures,
     table_pictures,
 )
-from gfp_grasp.detect import classify, detect_objects
+from gfp_grasp.detect import FLOOR_M, classify, detect_objects
 from gfp_grasp.errors import NothingDetected
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.train import CACHE, Example, assorted_examples, class_examples
@@ -111,7 +111,7 @@ def name_views(examples: list[Example]) -> dict[str, Any]:
 
 
 def _calibration(sure: np.ndarray, right: np.ndarray) -> list[dict[str, float]]:
-    """Of the answers whose score lies between two marks: how many there are, their mean score, how many are right."""
+    """How many answers have a score between two marks, their mean score, and how many of them are right."""
     rows = []
     for low, high in pairwise(_MARKS):
         between = (sure >= low) & (sure < high)
@@ -124,7 +124,7 @@ def _calibration(sure: np.ndarray, right: np.ndarray) -> list[dict[str, float]]:
 
 
 def _scores(example: Example) -> dict[str, float]:
-    above = example.points[example.points[:, 2] > 0.006]
+    above = example.points[example.points[:, 2] > FLOOR_M]
     return classify(above, UP, SupportPlane(UP, 0.0), viewpoint=example.viewpoint)
 
 

@@ -170,7 +170,6 @@ def detection(
 ) -> None:
     """Objects found on tables, in clutter and in rooms by every detector, and classes told apart."""
     from gfp_grasp.bench import bench_detection, paint_rooms
-    from gfp_grasp.drawing import write_confusion
 
     if data is not None and not (data / "captures").is_dir():
         raise InvalidOption(f"--data is {data}; a folder with captures/ in it is expected")
@@ -181,6 +180,8 @@ def detection(
         if data is not None and pictures is not None:
             paint_rooms(data, pictures)
     if confusion is not None:
+        from gfp_grasp.drawing import write_confusion
+
         found = report["procedural_test"]
         title = f"Class named, of {found['views']} views of the test split where one answer is right"
         write_confusion(found["confusion_rows_true"], found["columns_named"], confusion, title=title)

@@ -71,12 +71,6 @@ def detect_objects(
     return _detect_in_points(image, up, config)
 
 
-def picture_support(image: DepthImage, up: np.ndarray | None, config: DetectConfig) -> SupportPlane | None:
-    """Plane of a depth picture that its objects stand on, world frame; see `find_table`."""
-    table = find_table(image, up, sensor=config.sensor).best
-    return None if table is None else table.plane
-
-
 def make_detection(
     points: np.ndarray,
     *,

@@ -170,9 +170,9 @@ def sample_points(points: np.ndarray, count: int, rng: np.random.Generator) -> n
 def with_surface(points: np.ndarray, viewpoint: np.ndarray | None) -> np.ndarray:
     """(n, 9): points in the seen frame with what their surroundings look like.
 
-    Of the covariance of the nearest 24 points, eigenvalues e0 <= e1 <= e2: how level the surface is (|z| of the
-    normal), how rough (e0 / e1) and how much like a wire (1 - e1 / e2), as a handle is; then the normal, towards the
-    viewpoint, or zeros where nobody knows that.
+    The covariance of the nearest 24 points, with eigenvalues e0 <= e1 <= e2, tells how level the surface is (|z| of the
+    normal), how rough (e0 / e1) and how much like a wire (1 - e1 / e2), as a handle is; then comes the normal, towards
+    the viewpoint, or zeros where nobody knows that.
     """
     _, near = KDTree(points).query(points, k=min(_NEIGHBOURS, len(points)))
     local = points[near] - points[near].mean(axis=1, keepdims=True)

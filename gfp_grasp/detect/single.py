@@ -10,8 +10,9 @@ from scipy.spatial import KDTree
 from gfp_grasp.camera import mask_of_points
 from gfp_grasp.clouds import voxel_grid
 from gfp_grasp.detect.clusters import VOXEL, cluster_points, label_points
-from gfp_grasp.detect.detector import UP, DetectConfig, make_detection, picture_support
+from gfp_grasp.detect.detector import UP, DetectConfig, make_detection
 from gfp_grasp.detect.support import find_support
+from gfp_grasp.detect.tables import find_table
 from gfp_grasp.detect.upright import guess_up
 from gfp_grasp.detect.validate import MIN_POINTS, robust_extents
 from gfp_grasp.errors import InvalidCloud, InvalidView, NothingDetected
@@ -103,9 +104,9 @@ def _support(
             up = guess_up(points, viewpoint, view) if found is None else found.normal
         return SupportPlane(up, support_height)
     if isinstance(view, DepthImage):
-        found = picture_support(view, up, config)
-        if found is not None:
-            return found
+        table = find_table(view, up, sensor=config.sensor).best
+        if table is not None:
+            return table.plane
     return find_support(points, up, viewpoint=viewpoint, sensor=config.sensor)
 
 

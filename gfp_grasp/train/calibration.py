@@ -17,9 +17,8 @@ from gfp_grasp.detect import (
     score_table,
     size_of,
 )
-from gfp_grasp.train.proposal_batches import placed_in_seen_frame, seen_cloud
+from gfp_grasp.train.proposal_batches import equal_fronts, placed_in_seen_frame, seen_cloud
 from gfp_grasp.train.proposal_data import Example
-from gfp_grasp.transforms import rotation_about
 from gfp_grasp.types import RESTS
 
 _UNKNOWN_WEIGHT = 0.2  # in the calibration: an even spread for what is of no class, against a right answer
@@ -107,8 +106,7 @@ def measure_pose(network: ProposalNet, test: Sequence[Example]) -> dict[str, obj
         truth = placed_in_seen_frame(example)
         up_deg.append(_angle_deg(seen.up[i], truth.R[:, 2]))
         if not math.isinf(truth.order):
-            turns = [truth.R @ rotation_about((0, 0, 1), 2 * np.pi * k / truth.order) for k in range(int(truth.order))]
-            front_deg.append(min(_angle_deg(seen.front[i], R[:, 0]) for R in turns))
+            front_deg.append(min(_angle_deg(seen.front[i], x) for x in equal_fronts(truth.R, int(truth.order))))
         size.append(np.abs(seen.log_extents[i] + np.log(unit_m[i]) - np.log(truth.extents)).mean())
         centre_m.append(np.linalg.norm(seen.centre[i] * unit_m[i] - truth.centre) / np.linalg.norm(truth.extents))
     rests = [RESTS[k] for k in np.asarray(seen.rests).argmax(axis=1)]

@@ -247,6 +247,12 @@ def _augmented(
 def _fronts(R: np.ndarray, order: int) -> np.ndarray:
     """(6, 3): the object's x axis and those that its symmetry makes equal to it; NaN for a body of revolution."""
     fronts = np.full((_MOST_TURNS, 3), np.nan)
-    for i in range(min(order, _MOST_TURNS)):
-        fronts[i] = R @ rotation_about((0, 0, 1), 2 * np.pi * i / order)[:, 0]
+    found = equal_fronts(R, order)[:_MOST_TURNS]
+    fronts[: len(found)] = found
     return fronts
+
+
+def equal_fronts(R: np.ndarray, order: int) -> np.ndarray:
+    """(order, 3): the x axis of R (3, 3), and those that a symmetry about its z axis makes equal to it."""
+    turns = [rotation_about((0, 0, 1), 2 * np.pi * i / order) for i in range(order)]
+    return np.array([R @ turn[:, 0] for turn in turns]).reshape(-1, 3)

@@ -145,7 +145,7 @@ def part_in_view(points: np.ndarray, T_world_object: np.ndarray, body_m: float) 
 
 @dataclass(frozen=True, eq=False)
 class _Anatomy:
-    """Of a shape: its variant, the radius m of a body from which a handle stands out, its bounds, symmetry, classes."""
+    """A shape's variant, the radius m of its body from which a handle stands out, its bounds, symmetry and classes."""
 
     kind: str
     body_m: float | None
