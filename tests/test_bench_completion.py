@@ -11,7 +11,7 @@ from gfp_grasp.errors import InvalidOption
 
 
 def test_bench_measures_every_method_on_every_view_and_pairs_them_with_the_undeformed_fit():
-    methods = ("partial", "registration", "gfs")
+    methods = ("truth", "partial", "registration", "gfs")
     report = bench_completion("bottle", methods=methods, config=CompletionConfig(views=2, limit=1))
     rows: Any = report["rows"]
     paired: Any = report["paired"]
@@ -22,6 +22,8 @@ def test_bench_measures_every_method_on_every_view_and_pairs_them_with_the_undef
         assert row["failed"] == 0
         assert 0.001 < row["cd_m"] < 0.03
     assert rows["all"]["registration"]["cd_m"] < rows["all"]["partial"]["cd_m"]
+    assert 0.001 < rows["all"]["truth"]["cd_m"] < rows["all"]["registration"]["cd_m"]
+    assert (rows["all"]["truth"]["iou"], rows["all"]["truth"]["scale_error_median"]) == (1.0, 0.0)
     assert paired["all"]["gfs"]["pairs"] == 2
 
 

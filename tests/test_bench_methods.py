@@ -243,9 +243,10 @@ def test_a_row_of_the_package_differs_from_the_default_by_what_it_is_named_after
 
 def test_methods_come_in_the_order_of_the_table():
     told = [n + sized for n in ("icp", "pcrnet", "pcrnet-gfs", *PATCHED) for sized in ("", "-sized")]
-    assert ("partial", "observed", "mirror", *(f"told-{name}" for name in told), *OWN) == METHODS
+    assert ("truth", "partial", "observed", "mirror", *(f"told-{name}" for name in told), *OWN) == METHODS
     assert list(SWITCHES) == list(OWN)[12:]
-    assert BRIEF == ("partial", "observed", "mirror", "told-icp", "registration", "gfs", "gfpnet-paper-5", "gfpnet")
+    own = ("told-icp", "registration", "gfs", "gfpnet-paper-5", "gfpnet")
+    assert ("truth", "partial", "observed", "mirror", *own) == BRIEF
     assert {"registration", "gfs", "gfpnet-oneshot", "gfpnet"} <= set(CONFIGS)
 
 

@@ -1,6 +1,7 @@
 """Each term of the planner on bodies without symmetry, in poses without symmetry, against known answers."""
 
 from dataclasses import dataclass, replace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from gfp_grasp.grasps.contact import Contacts, find_contacts, load_ratio, obstac
 from gfp_grasp.grasps.plan import cast_closing_lines, plan_grasps, poses_about
 from gfp_grasp.meshes import sample_surface
 from gfp_grasp.transforms import apply_T, make_T, rotation_about
-from gfp_grasp.types import DepthImage, Detection, OrientedBox, PointCloud, SupportPlane
+from gfp_grasp.types import DepthImage, Detection, Grasp, OrientedBox, PointCloud, SupportPlane
 
 UP = np.array([0.0, 0.0, 1.0])
 TILTED = make_T(rotation_about((1, -2, 0.5), 0.8), (0.3, -0.1, 0.2))
@@ -196,6 +197,21 @@ def test_a_pad_that_resists_no_turn_at_all_carries_little_and_not_nan():
     share = load_of(beside, (0.0, 0.0, 0.0))
     assert share == pytest.approx(1 / np.hypot(1, 2 * 0.5 * 0.05 / 1e-4))
     assert load_of(make_T(rotation_about((1, 0, 0), np.pi)), (0.0, 0.0, 0.0)) == 1.0
+
+
+def test_the_weight_that_a_grasp_bears_is_what_friction_holds_between_the_pads_and_less_beside_them():
+    """A block 60 by 40 by 100 mm, taken across its 40 mm at the middle, and 15 mm beside it."""
+    block = trimesh.creation.box((0.06, 0.04, 0.1)).apply_translation((0.3, 0.1, 0.05))
+    detection = SimpleNamespace(support=SupportPlane(UP, 0.0), up=UP)
+    completion: Any = SimpleNamespace(mesh=block, detection=detection, observed=np.ones(8, bool), sigma_m=np.zeros(8))
+    down = np.diag([1.0, -1.0, -1.0])
+    grasps = [Grasp(make_T(down, (0.3 + beside, 0.1, 0.05)), 0.06) for beside in (0.0, 0.015)]
+    borne = plan.bearable_weight(completion, grasps, friction=0.7, grip_n=30.0)
+    spread = np.linalg.norm((GRIPPER.pad.low_high[1] - GRIPPER.pad.low_high[0])[[0, 2]]) / np.sqrt(12)
+    held = 2 * 0.7 * 30.0 / np.sqrt(1.09 + np.array([0.0, 0.015 / spread]) ** 2)
+    np.testing.assert_allclose(borne, held, rtol=0.05)
+    assert borne[1] < 0.7 * borne[0]
+    assert plan.bearable_weight(completion, [], friction=0.7, grip_n=30.0).shape == (0,)
 
 
 # Clearance

@@ -73,10 +73,10 @@ def test_what_the_gripper_cannot_take_hold_of_is_left_out_and_named(tmp_path):
         mesh.apply_translation((0, 0, 0.07))
         mesh.export(tmp_path / f"{name}.ply")
     found = score(tmp_path, ("oracle",), config=ScoreConfig(views=1, grasps=1))
-    assert found.settings["ungraspable"] == ["stout"]
+    assert (found.settings["no_grip"], found.settings["too_heavy"]) == (["stout"], [])
     assert {row.object for row in found.rows} == {"slim"}
     (tmp_path / "bottle__slim.ply").unlink()
-    with pytest.raises(InvalidOption, match="cannot take hold of any of stout"):
+    with pytest.raises(InvalidOption, match="no grip: stout"):
         score(tmp_path, ("oracle",), config=ScoreConfig(views=1))
 
 

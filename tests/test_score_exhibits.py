@@ -44,7 +44,7 @@ SETTINGS: dict[str, Any] = {
     "objects": "cup,mug",
     "split": "val",
     "num_objects": 5,
-    "ungraspable": ["cup-1", "mug-2"],
+    "no_grip": ["cup-1", "mug-2"],
     "classes": ["", "bottle", "cup", "mug"],
     "completers": ["gfs/top-down", "oracle"],
     "views": 3,
@@ -236,7 +236,7 @@ def test_settings_are_a_list_and_the_numbers_of_a_trial_are_folded_away():
     html = page._settings_section({**SETTINGS, "gps": []}, command="gfp-grasp score & more")
     assert re.sub(r"\n", "", html) == (
         '<section id="settings"><h2>Settings</h2><div class="card settings"><dl><dt>objects</dt><dd>cup,mug</dd>'
-        "<dt>split</dt><dd>val</dd><dt>num_objects</dt><dd>5</dd><dt>ungraspable</dt><dd>cup-1, mug-2</dd>"
+        "<dt>split</dt><dd>val</dd><dt>num_objects</dt><dd>5</dd><dt>no_grip</dt><dd>cup-1, mug-2</dd>"
         "<dt>classes</dt><dd>(unknown), bottle, cup, mug</dd><dt>completers</dt><dd>gfs/top-down, oracle</dd>"
         "<dt>views</dt><dd>3</dd><dt>clutter</dt><dd>2</dd><dt>grasps</dt><dd>4</dd><dt>seed</dt><dd>6</dd>"
         "<dt>gps</dt><dd>none</dd></dl><details><summary>numbers of a trial</summary><dl><dt>lift_m</dt><dd>0.2</dd>"
@@ -288,7 +288,7 @@ def test_the_command_makes_the_page_again():
     of_all = {**SETTINGS, "classes": ["", *PrimitiveLibrary.shipped().categories]}
     assert page._command(of_all, "my page") == f"{every} --clutter 2 --limit 7 --report 'my page'"
     settings = {**SETTINGS, "detector": "own:one", "gps": ["a", "b c"], "classes": ["", "jug"]}
-    del settings["ungraspable"], settings["clutter"]
+    del settings["no_grip"], settings["clutter"]
     more = "--detector own:one --limit 5 --gps a --gps 'b c' --classes ,jug --report out"
     assert page._command(settings, "out") == f"{every} {more}"
 

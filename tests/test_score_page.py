@@ -115,7 +115,7 @@ def test_a_score_among_clutter_is_made_again_among_clutter(report):
 
 
 def test_the_command_counts_objects_that_were_left_out(report):
-    settings = {**report.settings, "num_objects": 5, "ungraspable": ["jug", "vat"], "classes": ["", "jug"]}
+    settings = {**report.settings, "num_objects": 5, "no_grip": ["jug"], "too_heavy": ["vat"], "classes": ["", "jug"]}
     assert " --limit 7 --classes ,jug --report out" in _command(settings, "out")
 
 

@@ -16,7 +16,7 @@ from gfp_grasp.errors import WorkerLost
 from gfp_grasp.grasps import GraspConfig
 from gfp_grasp.score import ScoreConfig, ScoreRow
 from gfp_grasp.score import rows as score_rows
-from gfp_grasp.score.rows import RowJob, best_grasps, is_graspable, lost_row, make_row, task_of
+from gfp_grasp.score.rows import RowJob, best_grasps, hindrance, lost_row, make_row, task_of
 from gfp_grasp.transforms import make_T
 from gfp_grasp.types import CollisionMesh, Grasp, Outcome, TrueObject
 
@@ -221,21 +221,40 @@ def test_a_grasp_is_rounded_as_a_step_of_the_environment_rounds_it():
     assert step.width_m == again.width_m != grasp.width_m
 
 
-@pytest.mark.parametrize(("found_by", "graspable"), [(1, True), (2, True), (3, False)])
-def test_an_object_is_graspable_where_a_plan_on_all_of_it_finds_a_grasp(monkeypatch, found_by, graspable):
-    asked = []
+@pytest.mark.parametrize(
+    ("mass_kg", "found_by", "borne_n", "hindrance_found"),
+    # twice 0.5 kg weigh 9.81 N
+    [
+        (0.5, 1, 9.9, ""),
+        (0.5, 2, 9.9, ""),
+        (0.5, 1, 9.7, "too_heavy"),
+        (0.5, 3, 9.9, "no_grip"),
+        (0.4, 1, 9.7, ""),
+    ],
+)
+def test_an_object_can_be_carried_where_a_grasp_planned_on_all_of_it_bears_twice_its_weight(
+    monkeypatch, mass_kg, found_by, borne_n, hindrance_found
+):
+    asked, weighed = [], []
 
     def plan(completion, num, *, config):
         asked.append((completion, num, config))
-        return GRASPS[:1] if len(asked) == found_by else ()
+        return GRASPS[:2] if len(asked) == found_by else ()
+
+    def bear(completion, grasps, *, friction, grip_n):
+        weighed.append((completion, friction, grip_n))
+        return np.array([np.nan, borne_n])[: len(grasps)]
 
     monkeypatch.setattr(score_rows, "plan_grasps", plan)
+    monkeypatch.setattr(score_rows, "bearable_weight", bear)
     part = box_part([0, 0, 0], [0.1, 0.06, 0.02])
     parts = CollisionMesh((part,), (0.0, 0.0, 0.0), "hull", 0.0)
-    truth = TrueObject("ell", "mug", l_shape(), parts, 0.2, 0.5)
-    assert is_graspable(truth) == graspable
+    truth = TrueObject("ell", "mug", l_shape(), parts, mass_kg, 0.5)
+    assert hindrance(truth) == hindrance_found
     thorough = GraspConfig(num_rays=20_000, num_lines=2000, num_looks=16_000, num_poses=2400)
-    assert [(num, config) for _, num, config in asked] == [(1, GraspConfig()), (1, thorough)][:found_by]
+    tries = [(40, GraspConfig()), (40, thorough)]
+    assert [(num, config) for _, num, config in asked] == (tries[:found_by] if hindrance_found == "" else tries)
+    assert weighed[0] == (asked[0][0], pytest.approx(0.7), 30.0)
     completion = asked[0][0]
     assert completion.mesh is truth.mesh
     assert completion.collision is truth.collision

@@ -28,12 +28,12 @@ def folder(tmp_path):
 
 @pytest.fixture
 def mapped(monkeypatch) -> list:
-    """How jobs were mapped; every job gives its row, and the gripper can take hold of all but the bottle."""
+    """How jobs were mapped; every job gives its row, and the gripper can carry all but the bottle."""
     mapped = []
 
     def pmap(function, jobs, **how):
         mapped.append((function, list(jobs), how))
-        return [job if isinstance(job, RowJob) else job != 0 for job in jobs]
+        return [job if isinstance(job, RowJob) else "" if job else "no_grip" for job in jobs]
 
     monkeypatch.setattr(score_run, "pmap", pmap)
     return mapped
@@ -47,7 +47,8 @@ def test_every_view_of_every_object_that_can_be_grasped_goes_through_every_metho
         "objects": folder.name,
         "split": "test",
         "num_objects": 2,
-        "ungraspable": ["a"],
+        "no_grip": ["a"],
+        "too_heavy": [],
         "classes": sorted(("", *PrimitiveLibrary.shipped().categories)),
         "completers": ["oracle", "mirror/top-down"],
         **{"views": 2, "clutter": 0, "grasps": 3, "seed": 4},
@@ -60,7 +61,7 @@ def test_every_view_of_every_object_that_can_be_grasped_goes_through_every_metho
         for method in ("oracle", "mirror/top-down")
     ]
     (fits, numbers, how), (function, made, how_made) = mapped
-    assert (fits.func, fits.keywords) == (score_run._fits_gripper, {"objects": str(folder), "split": "test"})
+    assert (fits.func, fits.keywords) == (score_run._hindrance, {"objects": str(folder), "split": "test"})
     assert (numbers, how) == ([0, 2, 3], {"workers": 5, "ray": "auto"})
     assert (function, made) == (make_row, jobs)
     assert how_made == {"lost": lost_row, "progress": watch, "workers": 5, "ray": "auto"}
@@ -69,7 +70,7 @@ def test_every_view_of_every_object_that_can_be_grasped_goes_through_every_metho
 
 def test_the_limit_is_taken_before_what_cannot_be_grasped_is_left_out(folder, mapped):
     config = ScoreConfig(views=1, limit=1, classes=("*",))
-    with pytest.raises(InvalidOption, match="cannot take hold of any of a: are they in metres"):
+    with pytest.raises(InvalidOption, match="no grip: a: are they in metres"):
         score(folder, ("oracle",), config=config)
     report = score(folder, ("oracle",), config=ScoreConfig(views=1, limit=2, classes=("*",)))
     assert [job.object_name for job in report.rows] == ["b"]  # type: ignore[attr-defined]
@@ -89,7 +90,7 @@ def test_a_detector_and_primitives_of_ones_own_stand_in_the_settings(folder, map
 def test_rows_are_written_down_as_they_come_under_the_version_and_the_settings(folder, monkeypatch, tmp_path):
     journal = tmp_path / "deep" / "journal.jsonl"
     journal.parent.mkdir()
-    monkeypatch.setattr(score_run, "_fits_gripper", lambda number, objects, split: True)
+    monkeypatch.setattr(score_run, "_hindrance", lambda number, objects, split: "")
     monkeypatch.setattr(score_run, "make_row", lambda job: lost_row(job, WorkerLost("x")))
     report = score(folder, ("oracle",), config=ScoreConfig(views=1), journal=journal)
     settings, *rows = (json.loads(line) for line in journal.read_text().splitlines())
@@ -107,11 +108,13 @@ def test_broken_files_are_all_named_before_anything_is_scored(folder):
 
 def test_what_the_gripper_holds_is_asked_of_the_object_of_that_number(folder, monkeypatch):
     asked = []
-    monkeypatch.setattr(score_run, "is_graspable", lambda truth: (asked.append(truth.name), truth.name == "c")[1])
-    assert [score_run._fits_gripper(n, objects=str(folder), split="test") for n in (0, 2)] == [False, True]
+    monkeypatch.setattr(
+        score_run, "hindrance", lambda truth: (asked.append(truth.name), "" if truth.name == "c" else "no_grip")[1]
+    )
+    assert [score_run._hindrance(n, objects=str(folder), split="test") for n in (0, 2)] == ["no_grip", ""]
     assert asked == ["a", "c"]
     (folder / "mug__c.ply").write_text("no mesh")
-    assert score_run._fits_gripper(2, objects=str(folder), split="test")
+    assert score_run._hindrance(2, objects=str(folder), split="test") == ""
 
 
 def test_the_defaults_are_the_bracketed_methods_on_four_views():

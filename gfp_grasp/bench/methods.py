@@ -146,8 +146,9 @@ def run_method(
     """One method on one view.
 
     Args:
-        name: One of METHODS. Those that begin with "told-" (the paper's) are told the true class; those that end in
-            "-sized" also get the true height and width.
+        name: One of METHODS. "truth" is the true mesh, as far from itself as two samplings of one surface are;
+            "partial" the cloud as it is, "observed" its hull. Those that begin with "told-" (the paper's) are told the
+            true class; those that end in "-sized" also get the true height and width.
         view: The view; a method gets its cloud.
         category: Class that the other methods are told, or None.
         given: True class of the object.
@@ -204,6 +205,7 @@ def _without(**switches: object) -> CompleteConfig:
 
 
 _SIMPLE: Mapping[str, Callable[[ObjectView], trimesh.Trimesh | np.ndarray]] = {
+    "truth": lambda view: view.mesh,
     "partial": lambda view: view.cloud.points,
     "observed": lambda view: complete_as_observed(_detection(view)).mesh,
     "mirror": lambda view: mirror_cloud(_detection(view)),

@@ -104,6 +104,9 @@ def warn_of_a_plane_aside(
         abs(widest.normal @ up) > level and (widest.distances(eye) > 0) == (widest.normal @ up > 0)
     ):
         return  # without the search below, which takes thirty times as long
+    sample = _even_sample(points, _VOXEL * sensor.sigma_m, np.random.default_rng(0))
+    if _support_score(_facing(_refined(widest, sample, sensor.sigma_m), eye), sample, sensor.sigma_m, 0.0) == 0.0:
+        return  # a side of a body: nothing stands on it
     plane = find_support(points, None, viewpoint=viewpoint, sensor=sensor)
     if plane is None or plane.normal @ up > level:
         return
@@ -131,6 +134,14 @@ def widest_plane(points: np.ndarray, *, sensor: SensorProfile = TABLETOP) -> tup
     shares = (np.abs(few @ normals.T - heights) < _INLIER * sensor.sigma_m).mean(axis=0)
     best = int(np.argmax(shares))
     return SupportPlane(normals[best], heights[best]), float(shares[best])
+
+
+def _refined(plane: SupportPlane, points: np.ndarray, sigma_m: float) -> SupportPlane:
+    """The plane by least squares through the points that are near it."""
+    on = points[np.abs(plane.distances(points)) < _INLIER * sigma_m]
+    middle = on.mean(axis=0)
+    normal = np.linalg.svd(on - middle, full_matrices=False)[2][2]
+    return SupportPlane(normal, float(normal @ middle))
 
 
 def _even_sample(points: np.ndarray, voxel_m: float, rng: np.random.Generator) -> np.ndarray:

@@ -2,7 +2,7 @@
 
 from gfp_grasp.grasps.config import Box, GraspConfig, Gripper
 from gfp_grasp.grasps.contact import Graspable
-from gfp_grasp.grasps.plan import plan_grasps
+from gfp_grasp.grasps.plan import bearable_weight, plan_grasps
 from gfp_grasp.grasps.planners import PLANNERS, Planner, get_planner, plan_top_down
 
 __all__ = [
@@ -12,6 +12,7 @@ __all__ = [
     "Graspable",
     "Gripper",
     "Planner",
+    "bearable_weight",
     "get_planner",
     "plan_grasps",
     "plan_top_down",

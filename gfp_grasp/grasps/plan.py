@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -180,6 +181,43 @@ def plan_grasps(
     best_first = possible[np.argsort(-quality[possible], kind="stable")]
     opening = _opening(poses.width, config)
     return tuple(Grasp(poses.T[i], float(opening[i]), float(quality[i])) for i in _distinct(poses.T, best_first, num))
+
+
+def bearable_weight(
+    completion: Graspable,
+    grasps: Sequence[Grasp],
+    *,
+    friction: float,
+    grip_n: float,
+    seed: int = 0,
+    config: GraspConfig | None = None,
+) -> np.ndarray:
+    """Weight of a completed shape up to which its pads hold it by friction, for each grasp, (n,) N.
+
+    It is 2 mu N times the load ratio of `plan_grasps`: what hangs beside the pads turns in them before it slips.
+
+    Args:
+        completion: Mesh and support; world frame.
+        grasps: n grasps on it.
+        friction: Coulomb coefficient mu between pads and object.
+        grip_n: Force N of each jaw.
+        seed: Seed of the surface's samples.
+        config: Gripper and sway.
+
+    Returns:
+        The weights; NaN where the pads touch nothing.
+    """
+    if not grasps:
+        return np.empty(0)
+    config = config or GraspConfig()
+    surface = surface_of(completion, config, np.random.default_rng(seed))
+    T = np.stack([grasp.T_world_gripper for grasp in grasps])
+    opening = np.array([grasp.width_m for grasp in grasps])
+    contacts = find_contacts(
+        T, opening, surface.points, surface.normals, surface.certainty, gripper=config.gripper, friction=friction
+    )
+    centre, up = _centre_of(completion.mesh), _support_of(completion).normal
+    return 2.0 * friction * grip_n * load_ratio(T, contacts.levers_m, centre, up, friction=friction, sway=config.sway)
 
 
 @dataclass(frozen=True, eq=False)

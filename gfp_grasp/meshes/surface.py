@@ -135,6 +135,8 @@ def _box_overlaps(corners: np.ndarray, faces: np.ndarray) -> Iterator[np.ndarray
     low, high = corners.min(axis=1), corners.max(axis=1)
     first_cell, last_cell = _grid(low, high)
     face, cell, key = _entries(first_cell, last_cell)
+    # Column by column: a test of whole rows takes twice as long.
+    low, high, first_cell, cell = (np.ascontiguousarray(array.T) for array in (low, high, first_cell, cell))
     # Within a cell, each entry is paired with those after it.
     partners = np.searchsorted(key, key, side="right") - np.arange(len(key)) - 1
     ends = np.cumsum(partners)
@@ -144,13 +146,15 @@ def _box_overlaps(corners: np.ndarray, faces: np.ndarray) -> Iterator[np.ndarray
         left = np.repeat(np.arange(start, min(stop, len(key))), partners[start:stop])
         right = left + 1 + _ramps(partners[start:stop])
         a, b = face[left], face[right]
-        keep = ((low[a] <= high[b]) & (low[b] <= high[a])).all(axis=1)
-        a, b, left = a[keep], b[keep], left[keep]
-        # Two faces meet in many cells; the first cell of their overlap speaks for the pair.
-        keep = (np.maximum(first_cell[a], first_cell[b]) == cell[left]).all(axis=1)
-        a, b = a[keep], b[keep]
-        keep = ~(faces[a][:, :, None] == faces[b][:, None, :]).any(axis=(1, 2))
-        yield np.sort(np.stack([a[keep], b[keep]], axis=1), axis=1)
+        for axis in range(3):
+            overlaps = (low[axis, a] <= high[axis, b]) & (low[axis, b] <= high[axis, a])
+            # Two faces meet in many cells; the first cell of their overlap speaks for the pair.
+            is_first = np.maximum(first_cell[axis, a], first_cell[axis, b]) == cell[axis, left]
+            keep = np.flatnonzero(overlaps & is_first)
+            a, b, left = a[keep], b[keep], left[keep]
+        meets = [faces[a, i] == faces[b, j] for i in range(3) for j in range(3)]
+        apart = ~np.logical_or.reduce(meets)
+        yield np.sort(np.stack([a[apart], b[apart]], axis=1), axis=1)
         start = stop
 
 

@@ -16,7 +16,7 @@ from gfp_grasp.parallel import Progress
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.score.failures import RULE, Exhibit, choose_failures, has_oracle, make_exhibits
 from gfp_grasp.score.report import BRACKETS, Report
-from gfp_grasp.score.rows import ScoreConfig
+from gfp_grasp.score.rows import NO_GRIP, TOO_HEAVY, ScoreConfig
 
 FILE, FIGURES = "index.html", "score.json"
 _WORDS = ("completer", "failures")  # columns of words, which start at the left and may break
@@ -144,7 +144,8 @@ def _command(settings: Mapping[str, Any], directory: str) -> str:
     ]
     for name in ("views", "grasps", "seed", "split", "clutter", "detector"):
         words += [f"--{name}", str(settings[name])] if name in settings else []
-    met = settings["num_objects"] + len(settings.get("ungraspable", ()))  # the limit counts what is left out, too
+    left_out = [name for kind in (NO_GRIP, TOO_HEAVY) for name in settings.get(kind, ())]
+    met = settings["num_objects"] + len(left_out)  # the limit counts what is left out, too
     words += ["--limit", str(met)]
     for folder in settings.get("gps", ()):
         words += ["--gps", folder]

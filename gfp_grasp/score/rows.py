@@ -17,7 +17,7 @@ from gfp_grasp.completion import Completion
 from gfp_grasp.detect import upright_box
 from gfp_grasp.envs import ActionCode, EnvConfig, Episode, GraspTask
 from gfp_grasp.errors import GfpGraspError, InvalidOption, WorkerLost
-from gfp_grasp.grasps import PLANNERS, GraspConfig, get_planner, plan_grasps
+from gfp_grasp.grasps import PLANNERS, GraspConfig, bearable_weight, get_planner, plan_grasps
 from gfp_grasp.metrics import CompletionErrors, completion_errors
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.score.report import ScoreRow, method_names
@@ -31,6 +31,11 @@ _WORLDS: tuple[Literal["true", "completed"], ...] = ("true", "completed")
 _NO_GRASP = Outcome(False, "no_grasp_found", 0.0, 0.0, False)
 # Many more tries than for a ranking: nothing found is to mean that there is nothing.
 _THOROUGH = GraspConfig(num_rays=20_000, num_lines=2000, num_looks=16_000, num_poses=2400)
+_MANY = 40  # grasps that are asked for the weight they bear
+# Makers of grippers reckon the force of a friction grip with this factor for accelerations and uncertain friction.
+_SAFETY = 2.0
+_GRAVITY = 9.81
+NO_GRIP, TOO_HEAVY = "no_grip", "too_heavy"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -100,15 +105,25 @@ class RowJob:
         return int(np.random.SeedSequence(entropy).generate_state(1)[0])
 
 
-def is_graspable(truth: TrueObject) -> bool:
-    """Whether the planner finds a grasp on an object as it stands, when it knows all of the object.
+def hindrance(truth: TrueObject) -> str:
+    """Why the gripper cannot carry an object as it stands, whatever is known of it: NO_GRIP, TOO_HEAVY, or "".
 
-    A jug that is wider everywhere than the jaws open tells nothing about a completion.
+    A jug that is wider everywhere than the jaws open tells nothing about a completion, and neither does a full pot that
+    no grasp carries: at the middle of the environment's frictions and forces, none of many grasps on the true mesh
+    bears twice its weight.
     """
     points = np.asarray(truth.mesh.vertices)
     detection = Detection(PointCloud(points), _UP, SupportPlane(_UP, 0.0), "", {}, upright_box(points, _UP))
     known = Oracle()(detection, truth.mesh, truth.collision)
-    return any(plan_grasps(known, 1, config=config) for config in (GraspConfig(), _THOROUGH))
+    drawn = EnvConfig()
+    friction, grip_n = (drawn.friction_min + drawn.friction_max) / 2, (drawn.grip_min_n + drawn.grip_max_n) / 2
+    found: tuple[Grasp, ...] = ()
+    for config in (GraspConfig(), _THOROUGH):
+        found = plan_grasps(known, _MANY, config=config) or found
+        borne = bearable_weight(known, found, friction=friction, grip_n=grip_n)
+        if (borne >= _SAFETY * _GRAVITY * truth.mass_kg).any():
+            return ""
+    return TOO_HEAVY if found else NO_GRIP
 
 
 def make_row(job: RowJob) -> ScoreRow:

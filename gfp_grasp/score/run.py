@@ -19,7 +19,7 @@ from gfp_grasp.parallel import Progress, pmap
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.scenes import ObjectSource, label_of, load_objects
 from gfp_grasp.score.report import Report, ScoreRow, method_names
-from gfp_grasp.score.rows import RowJob, ScoreConfig, is_graspable, lost_row, make_row
+from gfp_grasp.score.rows import NO_GRIP, TOO_HEAVY, RowJob, ScoreConfig, hindrance, lost_row, make_row
 
 ALL_CLASSES = "*"
 BRACKETED = ("observed", "observed/top-down", "mirror", "gfs", "registration", "gfpnet-paper", "gfpnet", "oracle")
@@ -41,7 +41,8 @@ def score(
     completion is tried as `GfpGraspEnv.step` tries it, once on the true object and once with the completion's convex
     parts simulated in its place. No completion, or no grasp on it, counts as a failure (`no_grasp_found`). Where the
     best grasp fails on the true object, the next ones are tried, each on the scene as it was. Objects that the gripper
-    cannot take hold of though all of them is known are left out, and named in the report's settings.
+    cannot take hold of though all of them is known, and such as it cannot carry, are left out and named in the report's
+    settings as no_grip and too_heavy.
 
     Args:
         objects: Families ("cup,mug"), a mesh file, or a folder of `<class>__<name>.<suffix>`.
@@ -68,7 +69,7 @@ def score(
         get_completer(completer_name)
         get_planner(planner_name)
     how = {"workers": workers, "ray": ray}
-    kept, ungraspable = _split_graspable(_chosen(objects, config), str(objects), config.split, **how)
+    kept, left_out = _split_graspable(_chosen(objects, config), str(objects), config.split, **how)
     jobs = [
         RowJob(str(objects), number, object_name, method, view, config)
         for number, object_name in kept
@@ -79,7 +80,7 @@ def score(
         "objects": label_of(objects),
         "split": config.split,
         "num_objects": len(kept),
-        "ungraspable": ungraspable,
+        **left_out,
         "classes": sorted(config.wanted()),
         "completers": list(completers),
         "views": int(config.views),
@@ -141,19 +142,21 @@ def _refuse_broken(sources: Sequence[ObjectSource]) -> None:
 
 def _split_graspable(
     chosen: Sequence[tuple[int, str]], objects: str, split: str, **how: Any
-) -> tuple[list[tuple[int, str]], list[str]]:
-    """Numbers and names of the objects that the gripper can take hold of, and the names of the others."""
-    fits = pmap(partial(_fits_gripper, objects=objects, split=split), [number for number, _ in chosen], **how)
-    kept = [pair for pair, fit in zip(chosen, fits, strict=True) if fit]
-    ungraspable = [name for (_, name), fit in zip(chosen, fits, strict=True) if not fit]
+) -> tuple[list[tuple[int, str]], dict[str, list[str]]]:
+    """Numbers and names of the objects that the gripper can carry, and the names of the others by what hinders."""
+    reasons = pmap(partial(_hindrance, objects=objects, split=split), [number for number, _ in chosen], **how)
+    asked = list(zip(chosen, reasons, strict=True))
+    kept = [pair for pair, reason in asked if not reason]
+    left_out = {kind: [name for (_, name), reason in asked if reason == kind] for kind in (NO_GRIP, TOO_HEAVY)}
     if not kept:
-        raise InvalidOption(f"the gripper cannot take hold of any of {', '.join(ungraspable)}: are they in metres?")
-    return kept, ungraspable
+        told = "; ".join(f"{kind.replace('_', ' ')}: {', '.join(names)}" for kind, names in left_out.items() if names)
+        raise InvalidOption(f"the gripper cannot carry any of the objects ({told}): are they in metres?")
+    return kept, left_out
 
 
-def _fits_gripper(number: int, *, objects: str, split: str) -> bool:
+def _hindrance(number: int, *, objects: str, split: str) -> str:
     source = load_objects(objects, split)[number]
     try:
-        return is_graspable(source.load())
+        return hindrance(source.load())
     except GfpGraspError:  # its rows will tell what there is to be told
-        return True
+        return ""
