@@ -10,9 +10,9 @@ import numpy as np
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.types import Detection, GenericPrimitive
 
-# Below this the best class is an opinion, not a finding: on the network before this one, one held-out view in ten of
-# the classes was below it, and seven in ten of things of no class.
-SURE_SCORE = 0.7
+# Below this the best class is an opinion, not a finding: of 160 views of the household classes' validation split 3 % are
+# below it, of 80 things of no class 51 %.
+SURE_SCORE = 0.5
 _LEAST_SCORE = 1e-6
 
 

@@ -235,7 +235,7 @@ def test_a_fit_that_may_cross_itself_is_looked_at_where_its_deformation_was_not_
     assert len(chain.deform.calls) == 1
 
 
-@pytest.mark.parametrize(("sure", "warned"), [(0.69, 1), (0.7, 0)])
+@pytest.mark.parametrize(("sure", "warned"), [(0.49, 1), (0.5, 0)])
 def test_what_no_known_class_is_likely_for_is_completed_with_a_warning(
     sure: float, warned: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -168,6 +168,26 @@ def test_a_change_of_the_fit_moves_all_vertices(monkeypatch, fit, view):
     assert np.corrcoef(moved[:, 1], grown[:, 1])[0, 1] > 0.99
 
 
+@pytest.mark.parametrize(
+    ("metrics", "share"),
+    [
+        ({"cup_error_before_mm": 2.0, "cup_error_after_mm": 1.89}, 1.0),
+        ({"cup_error_before_mm": 2.0, "cup_error_after_mm": 1.91}, 0.0),
+        ({"mug_error_before_mm": 2.0, "mug_error_after_mm": 1.91}, 1.0),  # it never met a cup
+    ],
+)
+def test_a_primitive_on_which_the_network_gained_less_than_a_twentieth_is_not_moved(
+    monkeypatch, fit, view, metrics, share
+):
+    monkeypatch.setattr(networks, "load_card", lambda variant: {"metrics": metrics})
+    vertices = fit.primitive.shape(fit.coefficients, fit.scale)
+    grown = 0.02 * vertices * (0, 1, 0)
+    answer_per_point(monkeypatch, (0, 0, 0), log_sigma=-2.5, field=grown)
+    deformed = deform(fit, view)
+    assert displacement_of(deformed, fit)[:, 1] == pytest.approx(share * grown[:, 1], abs=2e-4)
+    assert deformed.sigma_m == pytest.approx(np.full(len(grown), np.exp(-2.5) * patch_unit_m(fit.primitive)))
+
+
 def test_the_network_is_told_of_the_viewpoint_in_the_frame_of_the_object(monkeypatch, fit, view):
     patches = answer_per_point(monkeypatch, (0, 0, 0))
     deform(fit, view)

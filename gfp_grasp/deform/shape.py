@@ -181,8 +181,15 @@ def _by_contour(fit: FittedPrimitive, vertices: np.ndarray, template: TemplatePo
 
 
 def _by_points(fit: FittedPrimitive, patches: Patches) -> tuple[np.ndarray, np.ndarray]:
-    """Displacement (v, 3) m and sigma (v,) m by the network that answers for each point."""
+    """Displacement (v, 3) m and sigma (v,) m by the network that answers for each point.
+
+    A primitive on which the network gains nothing stays as it was fitted; it is told its sigma all the same.
+    """
+    from gfp_grasp.deform.gfpnet import pays_on  # torch is loaded where it is needed only
+
     offsets, log_sigma, field = _per_point(patches, fit)
+    if not pays_on(fit.primitive.name):
+        return np.zeros_like(field), _blend_sigma(patches, log_sigma, len(field))
     displacement, weight = blend(patches, offsets, len(field))
     displacement = diffuse(fit.primitive, displacement + field, np.minimum(weight, 1.0))
     return displacement, _blend_sigma(patches, log_sigma, len(field))

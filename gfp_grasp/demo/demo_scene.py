@@ -22,9 +22,9 @@ from gfp_grasp.types import CollisionMesh, DepthImage, TrueObject
 
 FILE = "demo_parts.npz"
 # Families and places in their held-out splits: objects unlike each other, each narrow enough somewhere for the gripper.
-CLUTTER = (("mug", 7), ("bottle", 8), ("cup", 9), ("mug", 1))
+CLUTTER = (("mug", 7), ("bottle", 8), ("box", 3), ("wine_glass", 6))
 SINGLE = (("mug", 4),)
-ROOM = (("mug", 2), ("cup", 9), ("bottle", 8), ("mug", 7), ("cup", 12))
+ROOM = (("mug", 2), ("bowl", 6), ("bottle", 8), ("carton", 6), ("glass", 7))
 
 
 def pick_objects(places: Sequence[tuple[str, int]], *, seed: int = 0) -> tuple[ObjectSource, ...]:
