@@ -10,8 +10,8 @@ import numpy as np
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.types import Detection, GenericPrimitive
 
-# Below this the best class is an opinion, not a finding: of 160 views of the household classes' validation split 3 % are
-# below it, of 80 things of no class 51 %.
+# Below this the best class is an opinion, not a finding: of 160 views of the validation split of the household classes
+# 3 % are below it, of 80 things of no class 51 %.
 SURE_SCORE = 0.5
 _LEAST_SCORE = 1e-6
 

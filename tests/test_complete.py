@@ -59,7 +59,7 @@ def test_completion_is_metric_and_in_the_callers_frame(mug):
 @pytest.mark.parametrize("kind", ["cup.lidded", "cup.stemmed", "bottle.jug", "bottle.spray"])
 def test_kinds_of_a_given_class_are_found_and_completed_as_what_they_are(kind):
     family, name = kind.split(".")
-    seeds = [seed for seed in split_seeds(family, "test") if make_shape(family, seed).kind == name][:3]
+    seeds = [seed for seed in split_seeds(family, "test") if make_shape(family, seed).kind == name][:4]
     names, errors, volumes = [], [], []
     for seed in seeds:
         truth, _, _, cloud = _see(family, seed)
@@ -69,8 +69,8 @@ def test_kinds_of_a_given_class_are_found_and_completed_as_what_they_are(kind):
         rng = np.random.default_rng(0)
         errors.append(chamfer_m(visible_surface(done.mesh, 8192, rng), visible_surface(truth, 8192, rng)))
         volumes.append(done.mesh.volume / truth.volume)
-    assert len(seeds) == 3
-    assert names.count(kind) >= 2  # of one jug the view tells the handle from a neck by little
+    assert len(seeds) == 4
+    assert names.count(kind) >= (2 if kind == "bottle.jug" else 4)  # two views show no handle
     assert max(errors) < 0.008
     if name != "stemmed":  # the wall of a glass is guessed
         assert volumes == pytest.approx(np.ones(len(seeds)), abs=0.2)
