@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -197,3 +198,21 @@ def _points(points: np.ndarray, name: str) -> np.ndarray:
     if points.ndim != 2 or points.shape[1] != 3 or len(points) == 0 or not np.isfinite(points).all():
         raise InvalidCloud(f"{name} has shape {points.shape}; finite, non-empty (n, 3) points in metres are expected")
     return points
+
+
+_RESAMPLINGS = 2000
+
+
+def mean_of_groups(groups: Sequence[Sequence[float]]) -> tuple[float, float, float]:
+    """Mean of all values and its 95 % interval, by resampling whole groups: views of one object are alike.
+
+    Args:
+        groups: Values by group; at least one group, and none empty.
+
+    Returns:
+        Mean, and the lower and the upper end of the interval (percentile bootstrap).
+    """
+    sums, counts = (np.array([f(group) for group in groups], dtype=float) for f in (np.sum, len))
+    drawn = np.random.default_rng(0).integers(len(groups), size=(_RESAMPLINGS, len(groups)))
+    low, high = np.quantile(sums[drawn].sum(axis=1) / counts[drawn].sum(axis=1), [0.025, 0.975])
+    return float(sums.sum() / counts.sum()), float(low), float(high)

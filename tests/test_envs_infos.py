@@ -57,7 +57,9 @@ class Task:
     def run_trial(self, grasp, **how):
         self.asked.append(("trial", round(grasp.width_m, 4), how))
         held = grasp.width_m > 0.05
-        return Outcome(held, "held" if held else "no_contact", 0.2, 0.004, held)
+        return Outcome(
+            held, "held" if held else "no_contact", 0.2, 0.004, held, {}, 0.3 if how["margin_trials"] else None
+        )
 
     def close(self):
         self.closed = True
@@ -69,7 +71,9 @@ def make(monkeypatch):
     return lambda **options: GfpGraspEnv(num_points=8, image_width=4, image_height=2, **options)
 
 
-BEFORE = {"is_success": False, "reason": "", "lift_m": 0.0, "slip_m": 0.0, "falls_free": False}
+BEFORE = {"is_success": False, "reason": "", "lift_m": 0.0, "slip_m": 0.0, "falls_free": False} | {
+    "least_friction": np.inf
+}
 INFO = {
     **{"object": "ell", "category": "mug", "mass_kg": 0.21, "friction": 0.55, "grip_n": 27.0, "completer": "gfs"},
     **{"completion_failed": False, "completion_error": "", "completion_notes": "a note", "num_observed": 5},
@@ -77,7 +81,7 @@ INFO = {
 
 
 def test_infos_and_rewards_are_those_of_the_trial(make):
-    env = make(completer="gfs")
+    env = make(completer="gfs", margin_trials=3)
     observation, info = env.reset(seed=3, options={"object": 0})
     assert info == BEFORE | INFO | {"world": "true"}
     assert env.task.asked == [("draw", {"number": 0, "completion": None}), ("world", "true")]
@@ -88,11 +92,10 @@ def test_infos_and_rewards_are_those_of_the_trial(make):
     action = np.zeros(NUM_ACTION, np.float32)
     again, reward, terminated, truncated, info = env.step(action)
     assert (reward, terminated, truncated) == (1.0, True, False)
-    assert info == {"is_success": True, "reason": "held", "lift_m": 0.2, "slip_m": 0.004, "falls_free": True} | INFO | {
-        "world": "true"
-    }
+    held = {"is_success": True, "reason": "held", "lift_m": 0.2, "slip_m": 0.004, "falls_free": True}
+    assert info == held | INFO | {"world": "true", "least_friction": 0.3}
     assert again["observed"].max() == 0.25
-    assert env.task.asked[-1] == ("trial", 0.06, {"world": "true", "on_step": None})
+    assert env.task.asked[-1] == ("trial", 0.06, {"world": "true", "on_step": None, "margin_trials": 3})
     action[9] = -0.5
     _, reward, _, _, info = env.step(action)
     assert (reward, info["is_success"], info["reason"], info["falls_free"]) == (0.0, False, "no_contact", False)

@@ -27,7 +27,7 @@ def test_the_defaults_of_the_environment():
         **{"split": "test", "limit": 0, "clutter": 0, "num_points": 2048, "image_width": 320, "image_height": 240},
         **{"fov_deg": 35.0, "distance_m": 0.6, "elevation_min_deg": 20.0, "elevation_max_deg": 60.0},
         **{"sensor": "gaussian", "noise_m": 0.001, "mass_spread": 0.25, "friction_min": 0.4, "friction_max": 1.0},
-        **{"grip_min_n": 25.0, "grip_max_n": 35.0, "spread_m": 0.05, "render_mode": None},
+        **{"grip_min_n": 25.0, "grip_max_n": 35.0, "spread_m": 0.05, "margin_trials": 0, "render_mode": None},
     }
 
 
@@ -58,6 +58,7 @@ def test_sensors_have_their_names():
         {"spread_m": -0.01},
         {"noise_m": -0.01},
         {"clutter": -1},
+        {"margin_trials": -1},
         {"limit": -1},
     ],
 )

@@ -248,14 +248,23 @@ def test_settings_are_a_list_and_the_numbers_of_a_trial_are_folded_away():
 def test_the_table_has_a_column_of_words_at_either_end_and_figures_between():
     html = page._figures_section(Report(SETTINGS, (ROW,)), link="score.json")
     head, body = re.findall(r"<t(?:head|body)>(.*?)</t(?:head|body)>", html)
-    names = ["completer", "true world", "of best few", "completed world", "precision, recall", "CD mm", "failures"]
+    names = [
+        "completer",
+        "true world",
+        "margin",
+        "of best few",
+        "completed world",
+        "precision, recall",
+        "CD mm",
+        "failures",
+    ]
     words = {"completer", "failures"}
     columns = [f"<th{' class=' + chr(34) + 'word' + chr(34) if name in words else ''}>{name}</th>" for name in names]
     assert head == f"<tr>{''.join(columns)}</tr>"
     cells = re.findall(r'<td( class="word")? data-name="([^"]*)">([^<]*)</td>', body)
     assert [name for _, name, _ in cells] == names
     assert [bool(kind) for kind, _, _ in cells] == [name in words for name in names]
-    assert [cells[0][2], cells[5][2], cells[6][2]] == ["gfs/top-down", "12.3", "slipped on lift 1"]
+    assert [cells[0][2], cells[6][2], cells[7][2]] == ["gfs/top-down", "12.3", "slipped on lift 1"]
     assert "one of the best 4 grasps held" in html
     assert 'All of them are in <a href="score.json">score.json</a>.' in html
     assert "<thead><tr></tr></thead>" in page._figures_section(Report(SETTINGS, ()), link="x")

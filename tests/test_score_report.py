@@ -30,6 +30,7 @@ def a_row(name: str, view: int, truth: bool, completed: bool, rank: int | None =
         lift_m=0.2,
         slip_m=0.0,
         falls_free=truth,
+        least_friction=0.2 if truth else None,
         mass_kg=0.2,
         friction=0.7,
         grip_n=30.0,
@@ -64,7 +65,13 @@ def test_completers_are_paired_with_those_that_bracket_them_view_by_view():
     }
     rows = [a_row(name, view, truth, True) for name, line in held.items() for view, truth in enumerate(line)]
     paired = Report({}, tuple(rows)).paired()
-    assert paired["mirror"] == {"oracle": {"pairs": 7, "only_this": 0, "only_other": 6, "p": 2 * 0.5**6}}
+    assert paired["mirror"] == {
+        "oracle": {
+            **{"pairs": 7, "only_this": 0, "only_other": 6, "p": 2 * 0.5**6},
+            # 1.6 is three octaves over 0.2; one object alone has no spread.
+            **{"margin": pytest.approx(-18 / 7), "margin_ci95": pytest.approx([-18 / 7, -18 / 7])},
+        }
+    }
     assert paired["oracle"] == {}
 
 
@@ -101,6 +108,21 @@ def test_a_summary_has_means_over_completed_views_and_counts_over_all():
     assert summary["timings_s"] == {"plan": pytest.approx(2.0), "execute": pytest.approx(3.0)}
     completed = summary["completed_world"]
     assert (completed["successes"], completed["precision"], completed["recall"]) == (2, 0.5, 1.0)
+
+
+def test_the_margin_of_views_is_resampled_by_object():
+    """Four octaves on each view of one object, one and three on those of another: 3 of 12 in the mean."""
+    frictions = {("a", 0): 0.1, ("a", 1): 0.1, ("b", 0): 0.8, ("b", 1): 0.2}
+    rows = [
+        replace(a_row("mirror", view, True, True), object=name, least_friction=friction)
+        for (name, view), friction in frictions.items()
+    ]
+    summary = Report({}, tuple(rows)).completers()["mirror"]
+    assert summary["margin"] == pytest.approx(3.0)
+    assert summary["margin_ci95"] == pytest.approx([2.0, 4.0])
+    oracle = [replace(row, completer="oracle", least_friction=0.1) for row in rows]
+    paired = Report({}, (*rows, *oracle)).paired()["mirror"]["oracle"]
+    assert (paired["margin"], paired["margin_ci95"]) == (pytest.approx(-1.0), pytest.approx([-2.0, 0.0]))
 
 
 def test_precision_and_recall_divide_by_different_counts():
@@ -148,7 +170,9 @@ def test_pairs_are_views_of_one_object_that_both_methods_have():
         a_row("oracle", 1, True, True),
         replace(a_row("oracle", 7, True, True), object="b"),
     )
-    assert Report({}, rows).paired()["mirror"]["oracle"] == {"pairs": 2, "only_this": 1, "only_other": 1, "p": 1.0}
+    paired = Report({}, rows).paired()["mirror"]["oracle"]
+    known = {"pairs": 2, "only_this": 1, "only_other": 1, "p": 1.0, "margin": 0.0, "margin_ci95": [0.0, 0.0]}
+    assert paired == known
 
 
 def test_the_table_tells_each_method_in_words():
@@ -157,6 +181,7 @@ def test_the_table_tells_each_method_in_words():
         {
             "completer": "mirror",
             "true world": "1/2 = 0.50 [0.09, 0.91]",
+            "margin": "1.50 [1.50, 1.50]",
             "of best few": "2/2",
             "completed world": "2/2 = 1.00 [0.34, 1.00]",
             "precision, recall": "0.50, 1.00",

@@ -58,11 +58,12 @@ class Task:
         self.asked.append((float(rng.uniform()), number))
         return self.drawn
 
-    def run_trial(self, grasp, *, world="true"):
-        self.asked.append((rounded(grasp), world))
+    def run_trial(self, grasp, *, world="true", margin_trials=0):
+        self.asked.append((rounded(grasp), world, margin_trials) if margin_trials else (rounded(grasp), world))
         rank = round((grasp.T_world_gripper[2, 3] - 0.1) / 0.05)
         success = rank in self.held[world]
-        return Outcome(success, "held" if success else "unstable", 0.1 + rank, 0.002 + rank, success)
+        least = (0.25 if success else np.inf) if margin_trials else None
+        return Outcome(success, "held" if success else "unstable", 0.1 + rank, 0.002 + rank, success, {}, least)
 
 
 def row_of(monkeypatch, task: Task, found=GRASPS, note="") -> tuple[ScoreRow, list]:
@@ -94,6 +95,7 @@ def test_a_row_tells_the_best_grasp_in_both_worlds(monkeypatch):
         lift_m=0.1,
         slip_m=0.002,
         falls_free=True,
+        least_friction=0.25,
         mass_kg=0.25,
         friction=0.6,
         grip_n=28.0,
@@ -114,7 +116,7 @@ def test_a_row_tells_the_best_grasp_in_both_worlds(monkeypatch):
         ("completed mesh", "true mesh", draw),
     ]
     best = rounded(GRASPS[0])
-    assert task.asked == [(draw, 7), (best, "true"), (best, "completed")]
+    assert task.asked == [(draw, 7), (best, "true", 5), (best, "completed")]
 
 
 @pytest.mark.parametrize(("held", "rank"), [((1, 3), 2), ((3,), 4), ((), None)])
@@ -123,7 +125,8 @@ def test_where_the_best_grasp_fails_the_next_ones_are_tried_until_one_holds(monk
     row, _ = row_of(monkeypatch, task)
     assert (row.success, row.reason, row.rank_held) == (False, "unstable", rank)
     assert (row.completed_success, row.completed_reason) == (True, "held")
-    tried = [which for which in task.asked[1:] if which[1] == "true"]
+    assert row.least_friction is None
+    tried = [which[:2] for which in task.asked[1:] if which[1] == "true"]
     assert tried == [(rounded(grasp), "true") for grasp in GRASPS[: rank or 4]]
 
 

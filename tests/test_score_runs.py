@@ -70,7 +70,7 @@ def test_every_view_of_every_object_that_can_be_grasped_goes_through_every_metho
 
 def test_the_limit_is_taken_before_what_cannot_be_grasped_is_left_out(folder, mapped):
     config = ScoreConfig(views=1, limit=1, classes=("*",))
-    with pytest.raises(InvalidOption, match="no grip: a: are they in metres"):
+    with pytest.raises(InvalidOption, match=r"\(no grip: a\): are they in metres"):
         score(folder, ("oracle",), config=config)
     report = score(folder, ("oracle",), config=ScoreConfig(views=1, limit=2, classes=("*",)))
     assert [job.object_name for job in report.rows] == ["b"]  # type: ignore[attr-defined]

@@ -14,7 +14,8 @@ from typing import Any
 
 import numpy as np
 
-_RESAMPLINGS = 2000
+from gfp_grasp.metrics import mean_of_groups
+
 _MEANS = ("cd_m", "f_score", "iou", "seen_precision", "seen_recall", "sigma_rank", "two_sigma")
 _DECIMALS = {"cd_m": 5}
 _PAPER_METHODS = {"PCRNet": "told-pcrnet", "GFS": "told-pcrnet-gfs", "GFPNet": "told-pcrnet-gfpnet-paper"}
@@ -120,10 +121,7 @@ def paired_gain(rows: Sequence[CompletionRow], method: str, reference: str) -> d
         gains.setdefault(name, []).append(before - after)
     if not gains:
         return {"pairs": 0}
-    sums, counts = (np.array([f(g) for g in gains.values()], dtype=float) for f in (np.sum, len))
-    drawn = np.random.default_rng(0).integers(len(gains), size=(_RESAMPLINGS, len(gains)))
-    low, high = np.quantile(sums[drawn].sum(axis=1) / counts[drawn].sum(axis=1), [0.025, 0.975])
-    gain = float(sums.sum() / counts.sum())
+    gain, low, high = mean_of_groups(list(gains.values()))
     return {
         "gain_m": round(gain, 6),
         "ci95_m": [round(float(low), 6), round(float(high), 6)],

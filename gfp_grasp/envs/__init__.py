@@ -7,6 +7,7 @@ if TYPE_CHECKING:
     from gfp_grasp.envs.config import EnvConfig, TrialSettings
     from gfp_grasp.envs.episode import Episode, Randomisation
     from gfp_grasp.envs.grasp_env import GfpGraspEnv
+    from gfp_grasp.envs.margin import FRICTIONS, least_friction, octaves
     from gfp_grasp.envs.picture import shade
     from gfp_grasp.envs.spaces import ActionCode
     from gfp_grasp.envs.task import GraspTask
@@ -15,16 +16,20 @@ if TYPE_CHECKING:
 _HOMES = {
     "ActionCode": "spaces",
     "EnvConfig": "config",
+    "FRICTIONS": "margin",
     "Episode": "episode",
     "GfpGraspEnv": "grasp_env",
     "GraspTask": "task",
     "Randomisation": "episode",
     "TrialSettings": "config",
+    "least_friction": "margin",
+    "octaves": "margin",
     "run_trial": "trial",
     "shade": "picture",
 }
 
 __all__ = [
+    "FRICTIONS",
     "ActionCode",
     "EnvConfig",
     "Episode",
@@ -32,6 +37,8 @@ __all__ = [
     "GraspTask",
     "Randomisation",
     "TrialSettings",
+    "least_friction",
+    "octaves",
     "run_trial",
     "shade",
 ]

@@ -120,6 +120,7 @@ class EnvConfig:
         friction_max: Highest: rubber on dry stoneware.
         grip_min_n: Weakest force limit of the jaws.
         grip_max_n: Strongest.
+        margin_trials: Trials after each grasp that look for the least friction at which it holds; 0 looks for none.
         spread_m: Without clutter, the object stands within this of the table's centre, along x and along y.
         render_mode: None, "rgb_array", or "human" for MuJoCo's viewer, which shows trials as they go on.
     """
@@ -146,6 +147,7 @@ class EnvConfig:
     friction_max: float = 1.0
     grip_min_n: float = 25.0
     grip_max_n: float = 35.0
+    margin_trials: int = 0
     spread_m: float = 0.05
     render_mode: str | None = None
 
@@ -159,7 +161,7 @@ class EnvConfig:
         for name in ("num_points", "image_width", "image_height", "fov_deg", "distance_m"):
             if not getattr(self, name) > 0:
                 raise InvalidOption(f"{name} is {getattr(self, name)}; a positive number is expected")
-        for name in ("limit", "clutter", "noise_m", "spread_m", "mass_spread"):
+        for name in ("limit", "clutter", "noise_m", "spread_m", "mass_spread", "margin_trials"):
             if not getattr(self, name) >= 0:
                 raise InvalidOption(f"{name} is {getattr(self, name)}; zero or more is expected")
         if self.fov_deg >= 180:

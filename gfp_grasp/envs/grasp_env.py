@@ -64,6 +64,7 @@ class GfpGraspEnv(gymnasium.Env[Observation, np.ndarray], EzPickle):
     | lift_m | float | height that the object had gained when the trial ended |
     | slip_m | float | the most that it slipped in the gripper |
     | falls_free | bool | fell when the jaws opened at last; False where it was not held until then |
+    | least_friction | float | least friction at which the grasp holds; inf at none, or without `margin_trials` |
     | object, category | str | name and class of the true object; the class is "" where it is unknown |
     | mass_kg, friction | float | of the object in this episode |
     | grip_n | float | force limit of each jaw |
@@ -167,7 +168,7 @@ class GfpGraspEnv(gymnasium.Env[Observation, np.ndarray], EzPickle):
             self.world.restore()
             self._show()
             watch = self._human.follow
-        outcome = self.task.run_trial(grasp, world=self._which, on_step=watch)
+        outcome = self.task.run_trial(grasp, world=self._which, on_step=watch, margin_trials=self.config.margin_trials)
         return _copy(self._observation), float(outcome.success), True, False, self._info(outcome)
 
     def render(self) -> np.ndarray | None:  # pyright: ignore[reportIncompatibleMethodOverride]
@@ -205,6 +206,7 @@ class GfpGraspEnv(gymnasium.Env[Observation, np.ndarray], EzPickle):
             "lift_m": outcome.lift_m if outcome else 0.0,
             "slip_m": outcome.slip_m if outcome else 0.0,
             "falls_free": bool(outcome and outcome.falls_free),
+            "least_friction": outcome.least_friction if outcome and outcome.least_friction is not None else np.inf,
             "object": episode.truth.name,
             "category": episode.truth.category,
             "mass_kg": episode.randomisation.mass_kg,

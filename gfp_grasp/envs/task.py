@@ -19,6 +19,7 @@ from gfp_grasp.completers import get_completer
 from gfp_grasp.detect import get_detector
 from gfp_grasp.envs.config import EnvConfig, TrialSettings
 from gfp_grasp.envs.episode import Episode, draw_episode
+from gfp_grasp.envs.margin import least_friction
 from gfp_grasp.envs.trial import run_trial
 from gfp_grasp.errors import GfpGraspError, InvalidOption
 from gfp_grasp.scenes import TARGET, SceneObject, World, load_objects, place_clutter
@@ -125,6 +126,7 @@ class GraspTask:
         *,
         world: Literal["true", "completed"] = "true",
         on_step: Callable[[Any], None] | None = None,
+        margin_trials: int = 0,
     ) -> Outcome:
         """Try a grasp in the current episode, on the scene as it was drawn.
 
@@ -132,6 +134,8 @@ class GraspTask:
             grasp: World frame.
             world: See `world`. The parts of a completion weigh nothing until the jaws have closed.
             on_step: Called with the state after every command, e.g. to film.
+            margin_trials: So many more trials look for `Outcome.least_friction`, see `least_friction`; the scene is
+                left as the first trial ended.
 
         Returns:
             What happened; `no_grasp_found` where there is no such world.
@@ -142,7 +146,23 @@ class GraspTask:
             scene = None
         if scene is None:
             return Outcome(False, "no_grasp_found", 0.0, 0.0, False, self.trial_settings.as_dict())
-        return run_trial(scene, grasp, self.trial_settings, floats=world == "completed", on_step=on_step)
+        floats = world == "completed"
+        outcome = run_trial(scene, grasp, self.trial_settings, floats=floats, on_step=on_step)
+        if not margin_trials:
+            return outcome
+        assert self._episode is not None
+        drawn, at_end = self._episode.randomisation, scene.snapshot()
+
+        def attempt(friction: float) -> Outcome:
+            scene.set_mass_and_friction(TARGET, drawn.mass_kg, friction)
+            return run_trial(scene, grasp, self.trial_settings, floats=floats)
+
+        try:
+            least = least_friction(attempt, outcome, num_trials=margin_trials)
+        finally:
+            scene.set_mass_and_friction(TARGET, drawn.mass_kg, drawn.friction)
+            scene.resume(at_end)
+        return replace(outcome, least_friction=least)
 
     def close(self) -> None:
         """Let go of the compiled scenes and the episode."""

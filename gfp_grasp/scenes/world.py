@@ -129,7 +129,6 @@ class World:
         self.objects = tuple(objects)
         self.model = compile_scene(build_scene(objects, gripper=True))
         self.data = mujoco.MjData(self.model)
-        self._state = np.zeros(mujoco.mj_stateSize(self.model, _STATE))
         self._remember()
 
     @property
@@ -197,8 +196,18 @@ class World:
 
     def restore(self) -> None:
         """Go back to the state after the last settling, or to the scene's start where there was none."""
+        self.resume(self._state)
+
+    def snapshot(self) -> np.ndarray:
+        """The state as it is now, for `resume`."""
+        state = np.zeros(mujoco.mj_stateSize(self.model, _STATE))
+        mujoco.mj_getState(self.model, self.data, state, _STATE)
+        return state
+
+    def resume(self, state: np.ndarray) -> None:
+        """Go on from a state that `snapshot` gave; what `restore` goes back to stays what it was."""
         mujoco.mj_resetData(self.model, self.data)
-        mujoco.mj_setState(self.model, self.data, self._state, _STATE)
+        mujoco.mj_setState(self.model, self.data, state, _STATE)
         mujoco.mj_forward(self.model, self.data)
 
     def save(self, path: str | Path) -> None:
@@ -209,7 +218,7 @@ class World:
 
     def _remember(self) -> None:
         mujoco.mj_forward(self.model, self.data)
-        mujoco.mj_getState(self.model, self.data, self._state, _STATE)
+        self._state = self.snapshot()
 
     def _body(self, name: str) -> int:
         if name not in self.names:

@@ -12,7 +12,9 @@ from typing import Any
 import numpy as np
 from scipy.stats import binomtest
 
+from gfp_grasp.envs import octaves
 from gfp_grasp.journal import write_whole
+from gfp_grasp.metrics import mean_of_groups
 from gfp_grasp.types import REASONS
 
 # Normal quantile of a two-sided 95 % interval.
@@ -35,6 +37,7 @@ class ScoreRow:
         lift_m: Height that the true object gained.
         slip_m: Largest slip of the true object while it was held.
         falls_free: Whether the true object fell when the jaws opened at last.
+        least_friction: Least friction of the true object at which the same grasp holds, None where it holds at none.
         mass_kg: Mass of the true object.
         friction: Coefficient of sliding friction of the true object.
         grip_n: Force limit of each jaw.
@@ -59,6 +62,7 @@ class ScoreRow:
     lift_m: float
     slip_m: float
     falls_free: bool
+    least_friction: float | None = None
     mass_kg: float
     friction: float
     grip_n: float
@@ -89,7 +93,9 @@ class Report:
         """Summary of each method, in the order of their first rows.
 
         `attempts` (the number of views), `successes`, `success_rate`, `ci95` (Wilson) and `reasons` count the trials on
-        the true objects; `any_of_best` counts the views on which one of the best few grasps held. `completed_world`
+        the true objects; `margin` is the mean of how often the least friction that holds can be doubled until it is the
+        highest that is tried (`envs.octaves`, 0 where no friction holds), `margin_ci95` its interval by resampling
+        objects; `any_of_best` counts the views on which one of the best few grasps held. `completed_world`
         counts the trials on the completions, and has their `precision` (the share of the grasps that held there which
         held on the truth) and `recall` (the share of the grasps that held on the truth which held there), None where
         no grasp held. `cd_m` is the mean over the views that were completed, `num_completed` their number,
@@ -112,9 +118,10 @@ class Report:
         """Every method beside the brackets that were scored, and beside other planners on the same completer.
 
         {method: {other: {"pairs" (views that both have), "only_this" and "only_other" (views on which one of the two
-        held), "p" (exact McNemar, two-sided)}}}.
+        held), "p" (exact McNemar, two-sided), "margin" (mean of this margin less the other's) and "margin_ci95" (by
+        resampling objects)}}}.
         """
-        held = {(row.completer, row.object, row.view): row.success for row in self.rows}
+        held = {(row.completer, row.object, row.view): row for row in self.rows}
         methods = self._by_method()
         paired: dict[str, dict[str, dict[str, Any]]] = {method: {} for method in methods}
         for method in methods:
@@ -178,16 +185,33 @@ def mcnemar_p(only_first: int, only_second: int) -> float:
     return float(binomtest(only_first, differing, 0.5).pvalue) if differing else 1.0
 
 
-def _paired(held: Mapping[tuple[str, str, int], bool], method: str, rival: str) -> dict[str, Any]:
+def _paired(rows: Mapping[tuple[str, str, int], ScoreRow], method: str, rival: str) -> dict[str, Any]:
     pairs = [
-        (success, held[rival, thing, view])
-        for (name, thing, view), success in held.items()
-        if name == method and (rival, thing, view) in held
+        (mine, rows[rival, thing, view])
+        for (name, thing, view), mine in rows.items()
+        if name == method and (rival, thing, view) in rows
     ]
-    only_this = sum(mine and not other for mine, other in pairs)
-    only_other = sum(other and not mine for mine, other in pairs)
-    p = mcnemar_p(only_this, only_other)
-    return {"pairs": len(pairs), "only_this": only_this, "only_other": only_other, "p": p}
+    only_this = sum(mine.success and not other.success for mine, other in pairs)
+    only_other = sum(other.success and not mine.success for mine, other in pairs)
+    found = {
+        "pairs": len(pairs),
+        "only_this": only_this,
+        "only_other": only_other,
+        "p": mcnemar_p(only_this, only_other),
+    }
+    if pairs:
+        gains = [(mine.object, octaves(mine.least_friction) - octaves(other.least_friction)) for mine, other in pairs]
+        found |= _margin(gains)
+    return found
+
+
+def _margin(values: Sequence[tuple[str, float]]) -> dict[str, Any]:
+    """Mean of octaves and its interval, from the name of each object and its value."""
+    groups: dict[str, list[float]] = {}
+    for name, value in values:
+        groups.setdefault(name, []).append(value)
+    mean, low, high = mean_of_groups(list(groups.values()))
+    return {"margin": mean, "margin_ci95": [low, high]}
 
 
 def _summary(rows: Sequence[ScoreRow]) -> dict[str, Any]:
@@ -196,6 +220,7 @@ def _summary(rows: Sequence[ScoreRow]) -> dict[str, Any]:
     on_truth, on_completed = sum(row.success for row in rows), sum(row.completed_success for row in rows)
     return {
         **_rates([row.reason for row in rows], on_truth),
+        **_margin([(row.object, octaves(row.least_friction)) for row in rows]),
         "any_of_best": sum(row.rank_held is not None for row in rows),
         "cd_m": float(np.mean(distances)) if distances else None,
         "num_completed": len(distances),
@@ -224,6 +249,7 @@ def _table_row(name: str, summary: Mapping[str, Any]) -> dict[str, str]:
     return {
         "completer": name,
         "true world": _rate_text(summary),
+        "margin": f"{summary['margin']:.2f} [{summary['margin_ci95'][0]:.2f}, {summary['margin_ci95'][1]:.2f}]",
         "of best few": f"{summary['any_of_best']}/{summary['attempts']}",
         "completed world": _rate_text(summary["completed_world"]),
         "precision, recall": ", ".join(_share(summary["completed_world"][key]) for key in ("precision", "recall")),

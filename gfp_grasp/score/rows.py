@@ -8,7 +8,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import islice
-from typing import Literal
 
 import numpy as np
 
@@ -27,10 +26,10 @@ from gfp_grasp.types import Detection, Grasp, Outcome, PointCloud, SupportPlane,
 _OF_USERS = (ArithmeticError, AssertionError, AttributeError, LookupError, RuntimeError, TypeError, ValueError)
 _UP = np.array([0.0, 0.0, 1.0])
 _CODE = ActionCode()
-_WORLDS: tuple[Literal["true", "completed"], ...] = ("true", "completed")
 _NO_GRASP = Outcome(False, "no_grasp_found", 0.0, 0.0, False)
 # Many more tries than for a ranking: nothing found is to mean that there is nothing.
 _THOROUGH = GraspConfig(num_rays=20_000, num_lines=2000, num_looks=16_000, num_poses=2400)
+_MARGIN_TRIALS = 5
 _MANY = 40  # grasps that are asked for the weight they bear
 # Makers of grippers reckon the force of a friction grip with this factor for accelerations and uncertain friction.
 _SAFETY = 2.0
@@ -137,7 +136,11 @@ def make_row(job: RowJob) -> ScoreRow:
     if episode.completion is not None:
         found, note = best_grasps(episode.completion, job.method, config.grasps, config.seed)
     planned_at = time.perf_counter()
-    outcome, completed = (task.run_trial(as_step(found[0]), world=which) if found else _NO_GRASP for which in _WORLDS)
+    outcome = completed = _NO_GRASP
+    if found:
+        best = as_step(found[0])
+        outcome = task.run_trial(best, margin_trials=_MARGIN_TRIALS)
+        completed = task.run_trial(best, world="completed")
     rank_held = 1 if outcome.success else _first_held(task, found)
     executed_at = time.perf_counter()
     errors = _errors(episode, job.episode_seed)
@@ -152,6 +155,7 @@ def make_row(job: RowJob) -> ScoreRow:
         lift_m=outcome.lift_m,
         slip_m=outcome.slip_m,
         falls_free=outcome.falls_free,
+        least_friction=outcome.least_friction if np.isfinite(outcome.least_friction or np.inf) else None,
         mass_kg=episode.randomisation.mass_kg,
         friction=episode.randomisation.friction,
         grip_n=episode.randomisation.grip_n,
@@ -184,6 +188,7 @@ def lost_row(job: RowJob, error: WorkerLost) -> ScoreRow:
         lift_m=0.0,
         slip_m=0.0,
         falls_free=False,
+        least_friction=None,
         mass_kg=0.0,
         friction=0.0,
         grip_n=0.0,

@@ -131,6 +131,8 @@ class Outcome:
         slip_m: The most that the object moved in the gripper after closing.
         falls_free: Whether the object fell when the jaws opened at last; False where it was not held until then.
         settings: Numbers of the trial.
+        least_friction: Least coefficient of the object's friction at which the same grasp holds, within the width that
+            `envs.least_friction` states; inf where it holds at none, None where nobody asked.
     """
 
     success: bool
@@ -139,3 +141,4 @@ class Outcome:
     slip_m: float
     falls_free: bool = False
     settings: Mapping[str, float | str] = field(default_factory=dict)
+    least_friction: float | None = None
