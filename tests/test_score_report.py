@@ -31,6 +31,7 @@ def a_row(name: str, view: int, truth: bool, completed: bool, rank: int | None =
         slip_m=0.0,
         falls_free=truth,
         least_friction=0.2 if truth else None,
+        margin=3.0 if truth else 0.0,
         mass_kg=0.2,
         friction=0.7,
         grip_n=30.0,
@@ -68,7 +69,7 @@ def test_completers_are_paired_with_those_that_bracket_them_view_by_view():
     assert paired["mirror"] == {
         "oracle": {
             **{"pairs": 7, "only_this": 0, "only_other": 6, "p": 2 * 0.5**6},
-            # 1.6 is three octaves over 0.2; one object alone has no spread.
+            # One object alone has no spread.
             **{"margin": pytest.approx(-18 / 7), "margin_ci95": pytest.approx([-18 / 7, -18 / 7])},
         }
     }
@@ -112,17 +113,20 @@ def test_a_summary_has_means_over_completed_views_and_counts_over_all():
 
 def test_the_margin_of_views_is_resampled_by_object():
     """Four octaves on each view of one object, one and three on those of another: 3 of 12 in the mean."""
-    frictions = {("a", 0): 0.1, ("a", 1): 0.1, ("b", 0): 0.8, ("b", 1): 0.2}
+    margins = {("a", 0): 4.0, ("a", 1): 4.0, ("b", 0): 1.0, ("b", 1): 3.0}
     rows = [
-        replace(a_row("mirror", view, True, True), object=name, least_friction=friction)
-        for (name, view), friction in frictions.items()
+        replace(a_row("mirror", view, True, True), object=name, margin=margin)
+        for (name, view), margin in margins.items()
     ]
     summary = Report({}, tuple(rows)).completers()["mirror"]
     assert summary["margin"] == pytest.approx(3.0)
     assert summary["margin_ci95"] == pytest.approx([2.0, 4.0])
-    oracle = [replace(row, completer="oracle", least_friction=0.1) for row in rows]
+    oracle = [replace(row, completer="oracle", margin=4.0) for row in rows]
     paired = Report({}, (*rows, *oracle)).paired()["mirror"]["oracle"]
     assert (paired["margin"], paired["margin_ci95"]) == (pytest.approx(-1.0), pytest.approx([-2.0, 0.0]))
+    before = Report({}, tuple(replace(row, margin=None) for row in rows))
+    assert "margin" not in before.completers()["mirror"]
+    assert before.table()[0]["margin"] == "-"
 
 
 def test_precision_and_recall_divide_by_different_counts():

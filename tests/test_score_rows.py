@@ -96,6 +96,7 @@ def test_a_row_tells_the_best_grasp_in_both_worlds(monkeypatch):
         slip_m=0.002,
         falls_free=True,
         least_friction=0.25,
+        margin=pytest.approx(np.log2(1.6 / 0.25)),  # type: ignore[arg-type]
         mass_kg=0.25,
         friction=0.6,
         grip_n=28.0,
@@ -125,7 +126,7 @@ def test_where_the_best_grasp_fails_the_next_ones_are_tried_until_one_holds(monk
     row, _ = row_of(monkeypatch, task)
     assert (row.success, row.reason, row.rank_held) == (False, "unstable", rank)
     assert (row.completed_success, row.completed_reason) == (True, "held")
-    assert row.least_friction is None
+    assert (row.least_friction, row.margin) == (None, 0.0)
     tried = [which[:2] for which in task.asked[1:] if which[1] == "true"]
     assert tried == [(rounded(grasp), "true") for grasp in GRASPS[: rank or 4]]
 
@@ -155,6 +156,7 @@ def test_a_lost_row_is_a_failure_of_the_same_view():
         reason="no_grasp_found",
         **dict.fromkeys(("lift_m", "slip_m", "mass_kg", "friction", "grip_n"), 0.0),
         falls_free=False,
+        margin=0.0,
         completed_success=False,
         completed_reason="no_grasp_found",
         **dict.fromkeys(("quality", "width_m", "cd_m", "f_score"), None),  # type: ignore[arg-type]

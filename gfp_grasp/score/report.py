@@ -12,7 +12,6 @@ from typing import Any
 import numpy as np
 from scipy.stats import binomtest
 
-from gfp_grasp.envs import octaves
 from gfp_grasp.journal import write_whole
 from gfp_grasp.metrics import mean_of_groups
 from gfp_grasp.types import REASONS
@@ -38,6 +37,8 @@ class ScoreRow:
         slip_m: Largest slip of the true object while it was held.
         falls_free: Whether the true object fell when the jaws opened at last.
         least_friction: Least friction of the true object at which the same grasp holds, None where it holds at none.
+        margin: How often that friction can be doubled until it is the highest tried (`envs.octaves`), 0 where no
+            friction holds; None in rows of before there were margins.
         mass_kg: Mass of the true object.
         friction: Coefficient of sliding friction of the true object.
         grip_n: Force limit of each jaw.
@@ -63,6 +64,7 @@ class ScoreRow:
     slip_m: float
     falls_free: bool
     least_friction: float | None = None
+    margin: float | None = None
     mass_kg: float
     friction: float
     grip_n: float
@@ -93,9 +95,8 @@ class Report:
         """Summary of each method, in the order of their first rows.
 
         `attempts` (the number of views), `successes`, `success_rate`, `ci95` (Wilson) and `reasons` count the trials on
-        the true objects; `margin` is the mean of how often the least friction that holds can be doubled until it is the
-        highest that is tried (`envs.octaves`, 0 where no friction holds), `margin_ci95` its interval by resampling
-        objects; `any_of_best` counts the views on which one of the best few grasps held. `completed_world`
+        the true objects; `margin` is the mean of the rows' margins, `margin_ci95` its interval by resampling objects;
+        `any_of_best` counts the views on which one of the best few grasps held. `completed_world`
         counts the trials on the completions, and has their `precision` (the share of the grasps that held there which
         held on the truth) and `recall` (the share of the grasps that held on the truth which held there), None where
         no grasp held. `cd_m` is the mean over the views that were completed, `num_completed` their number,
@@ -193,20 +194,24 @@ def _paired(rows: Mapping[tuple[str, str, int], ScoreRow], method: str, rival: s
     ]
     only_this = sum(mine.success and not other.success for mine, other in pairs)
     only_other = sum(other.success and not mine.success for mine, other in pairs)
-    found = {
+    gains = [
+        (mine.object, mine.margin - other.margin)
+        for mine, other in pairs
+        if mine.margin is not None and other.margin is not None
+    ]
+    return {
         "pairs": len(pairs),
         "only_this": only_this,
         "only_other": only_other,
         "p": mcnemar_p(only_this, only_other),
+        **_margin(gains),
     }
-    if pairs:
-        gains = [(mine.object, octaves(mine.least_friction) - octaves(other.least_friction)) for mine, other in pairs]
-        found |= _margin(gains)
-    return found
 
 
 def _margin(values: Sequence[tuple[str, float]]) -> dict[str, Any]:
-    """Mean of octaves and its interval, from the name of each object and its value."""
+    """Mean of margins and its interval, from the name of each object and its value; nothing of no rows."""
+    if not values:
+        return {}
     groups: dict[str, list[float]] = {}
     for name, value in values:
         groups.setdefault(name, []).append(value)
@@ -220,7 +225,7 @@ def _summary(rows: Sequence[ScoreRow]) -> dict[str, Any]:
     on_truth, on_completed = sum(row.success for row in rows), sum(row.completed_success for row in rows)
     return {
         **_rates([row.reason for row in rows], on_truth),
-        **_margin([(row.object, octaves(row.least_friction)) for row in rows]),
+        **_margin([(row.object, row.margin) for row in rows if row.margin is not None]),
         "any_of_best": sum(row.rank_held is not None for row in rows),
         "cd_m": float(np.mean(distances)) if distances else None,
         "num_completed": len(distances),
@@ -249,7 +254,7 @@ def _table_row(name: str, summary: Mapping[str, Any]) -> dict[str, str]:
     return {
         "completer": name,
         "true world": _rate_text(summary),
-        "margin": f"{summary['margin']:.2f} [{summary['margin_ci95'][0]:.2f}, {summary['margin_ci95'][1]:.2f}]",
+        "margin": _margin_text(summary),
         "of best few": f"{summary['any_of_best']}/{summary['attempts']}",
         "completed world": _rate_text(summary["completed_world"]),
         "precision, recall": ", ".join(_share(summary["completed_world"][key]) for key in ("precision", "recall")),
@@ -260,6 +265,13 @@ def _table_row(name: str, summary: Mapping[str, Any]) -> dict[str, str]:
 
 def _share(value: float | None) -> str:
     return "-" if value is None else f"{value:.2f}"
+
+
+def _margin_text(summary: Mapping[str, Any]) -> str:
+    if "margin" not in summary:
+        return "-"
+    low, high = summary["margin_ci95"]
+    return f"{summary['margin']:.2f} [{low:.2f}, {high:.2f}]"
 
 
 def _rate_text(rates: Mapping[str, Any]) -> str:

@@ -14,7 +14,7 @@ import numpy as np
 from gfp_grasp.completers import Oracle
 from gfp_grasp.completion import Completion
 from gfp_grasp.detect import upright_box
-from gfp_grasp.envs import ActionCode, EnvConfig, Episode, GraspTask
+from gfp_grasp.envs import ActionCode, EnvConfig, Episode, GraspTask, octaves
 from gfp_grasp.errors import GfpGraspError, InvalidOption, WorkerLost
 from gfp_grasp.grasps import PLANNERS, GraspConfig, bearable_weight, get_planner, plan_grasps
 from gfp_grasp.metrics import CompletionErrors, completion_errors
@@ -156,6 +156,7 @@ def make_row(job: RowJob) -> ScoreRow:
         slip_m=outcome.slip_m,
         falls_free=outcome.falls_free,
         least_friction=outcome.least_friction if np.isfinite(outcome.least_friction or np.inf) else None,
+        margin=octaves(outcome.least_friction),
         mass_kg=episode.randomisation.mass_kg,
         friction=episode.randomisation.friction,
         grip_n=episode.randomisation.grip_n,
@@ -188,7 +189,7 @@ def lost_row(job: RowJob, error: WorkerLost) -> ScoreRow:
         lift_m=0.0,
         slip_m=0.0,
         falls_free=False,
-        least_friction=None,
+        margin=0.0,
         mass_kg=0.0,
         friction=0.0,
         grip_n=0.0,
