@@ -24,7 +24,7 @@ FILE = "demo_parts.npz"
 # Families and places in their held-out splits: objects unlike each other, each narrow enough somewhere for the gripper.
 CLUTTER = (("mug", 7), ("bottle", 8), ("box", 3), ("wine_glass", 6))
 SINGLE = (("mug", 4),)
-ROOM = (("mug", 2), ("bowl", 6), ("bottle", 8), ("carton", 6), ("glass", 7))
+ROOM = (("mug", 4), ("bowl", 6), ("bottle", 8), ("can", 4), ("jar", 5))
 
 
 def pick_objects(places: Sequence[tuple[str, int]], *, seed: int = 0) -> tuple[ObjectSource, ...]:
