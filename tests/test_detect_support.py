@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from gfp_grasp.detect import find_support
+from gfp_grasp.detect import find_support, warn_of_a_plane_aside
 from gfp_grasp.transforms import apply_T, make_T, rotation_about
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -134,3 +134,12 @@ def test_a_lid_that_its_pot_goes_on_below_is_no_table_and_one_beside_a_floor_is(
     table = find_support(np.vstack([lid, knob, floor]), UP)
     assert table is not None
     assert table.height_m == pytest.approx(0.2, abs=1e-9)
+
+
+@pytest.mark.parametrize("width_m", [0.002, 0.004, 0.02])
+def test_a_speck_of_points_has_no_plane_aside_of_up(width_m, recwarn):
+    """A flat upright patch, of which one point or a few are left on the grid."""
+    across, along = np.random.default_rng(0).uniform(0, width_m, (2, 60))
+    patch = np.column_stack([0.3 + across, np.full(60, 0.2), 0.5 + along])
+    warn_of_a_plane_aside(patch, UP, viewpoint=np.array([0.0, -1.0, 0.5]))
+    assert not recwarn.list

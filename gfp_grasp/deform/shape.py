@@ -188,11 +188,11 @@ def _by_points(fit: FittedPrimitive, patches: Patches) -> tuple[np.ndarray, np.n
     from gfp_grasp.deform.gfpnet import pays_on  # torch is loaded where it is needed only
 
     offsets, log_sigma, field = _per_point(patches, fit)
+    sigma_m = _blend_sigma(patches, log_sigma, len(field))
     if not pays_on(fit.primitive.name):
-        return np.zeros_like(field), _blend_sigma(patches, log_sigma, len(field))
+        return np.zeros_like(field), sigma_m
     displacement, weight = blend(patches, offsets, len(field))
-    displacement = diffuse(fit.primitive, displacement + field, np.minimum(weight, 1.0))
-    return displacement, _blend_sigma(patches, log_sigma, len(field))
+    return diffuse(fit.primitive, displacement + field, np.minimum(weight, 1.0)), sigma_m
 
 
 def _by_sets(fit: FittedPrimitive, patches: Patches, config: DeformConfig) -> tuple[np.ndarray, np.ndarray]:

@@ -29,6 +29,7 @@ _MOST_SKIRT = 1.0  # points below the plane and not farther out, over those abov
 _MIN_FACING = 0.6  # share of the plane's points whose own surface faces along its normal, within
 _FACING_DEG = 25.0
 _MIN_FACING_ANYWHERE = 0.9  # where up is unknown: a table has 0.98, a slab of a cup's wall up to 0.82
+_FEWEST = 50  # points of a sample in which a plane is looked for
 _MIN_ASIDE = 0.35  # share of the points of a plane that is worth a word where it is none that up expects
 _ASIDE_SAMPLE, _ASIDE_TRIPLES = 1000, 200
 _MAX_PLANES = 3  # that are tried for each direction, biggest first
@@ -69,7 +70,7 @@ def find_support(
         return None
     rng = np.random.default_rng(0)  # the same cloud has the same table
     sample = _even_sample(np.asarray(points, dtype=np.float64), _VOXEL * sensor.sigma_m, rng)
-    if len(sample) < 50:
+    if len(sample) < _FEWEST:
         return None
     directions = CAMERA_UPS if up is None else (up,)
     eye = np.zeros(3) if viewpoint is None else np.asarray(viewpoint, dtype=np.float64)
@@ -99,12 +100,15 @@ def warn_of_a_plane_aside(
         sensor: Its noise is the unit of all tolerances.
     """
     level, eye = np.cos(np.radians(MAX_TILT_DEG)), np.zeros(3) if viewpoint is None else viewpoint
-    widest, share = widest_plane(points, sensor=sensor)
-    if share < _MIN_ASIDE or (
-        abs(widest.normal @ up) > level and (widest.distances(eye) > 0) == (widest.normal @ up > 0)
+    rng = np.random.default_rng(0)
+    sample = _even_sample(points, _VOXEL * sensor.sigma_m, rng)
+    widest, share = _widest(sample, rng, sensor)
+    if (
+        len(sample) < _FEWEST
+        or share < _MIN_ASIDE
+        or (abs(widest.normal @ up) > level and (widest.distances(eye) > 0) == (widest.normal @ up > 0))
     ):
         return  # without the search below, which takes thirty times as long
-    sample = _even_sample(points, _VOXEL * sensor.sigma_m, np.random.default_rng(0))
     if _support_score(_facing(_refined(widest, sample, sensor.sigma_m), eye), sample, sensor.sigma_m, 0.0) == 0.0:
         return  # a side of a body: nothing stands on it
     plane = find_support(points, None, viewpoint=viewpoint, sensor=sensor)
@@ -124,7 +128,10 @@ def warn_of_a_plane_aside(
 def widest_plane(points: np.ndarray, *, sensor: SensorProfile = TABLETOP) -> tuple[SupportPlane, float]:
     """The plane of any direction that most of (n, 3) points lie in, roughly, and their share; its sign is chance."""
     rng = np.random.default_rng(0)
-    sample = _even_sample(points, _VOXEL * sensor.sigma_m, rng)
+    return _widest(_even_sample(points, _VOXEL * sensor.sigma_m, rng), rng, sensor)
+
+
+def _widest(sample: np.ndarray, rng: np.random.Generator, sensor: SensorProfile) -> tuple[SupportPlane, float]:
     few = sample[rng.permutation(len(sample))[:_ASIDE_SAMPLE]]
     a, b, c = np.moveaxis(few[rng.integers(len(few), size=(_ASIDE_TRIPLES, 3))], 1, 0)
     normals = np.cross(b - a, c - a)

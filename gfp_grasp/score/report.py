@@ -96,11 +96,10 @@ class Report:
 
         `attempts` (the number of views), `successes`, `success_rate`, `ci95` (Wilson) and `reasons` count the trials on
         the true objects; `margin` is the mean of the rows' margins, `margin_ci95` its interval by resampling objects;
-        `any_of_best` counts the views on which one of the best few grasps held. `completed_world`
-        counts the trials on the completions, and has their `precision` (the share of the grasps that held there which
-        held on the truth) and `recall` (the share of the grasps that held on the truth which held there), None where
-        no grasp held. `cd_m` is the mean over the views that were completed, `num_completed` their number,
-        `timings_s` the mean by stage.
+        `any_of_best` counts the views on which one of the best few grasps held. `completed_world` counts the trials on
+        the completions, and has their `precision` (the share of the grasps that held there which held on the truth) and
+        `recall` (the share of the grasps that held on the truth which held there), None where no grasp held. `cd_m` is
+        the mean over the views that were completed, `num_completed` their number, `timings_s` the mean by stage.
         """
         return {name: _summary(rows) for name, rows in self._by_method().items()}
 
