@@ -6,15 +6,24 @@ import numpy as np
 import pytest
 import trimesh
 from bodies import AWAY, TURN
+from scipy.spatial import KDTree
 
-from gfp_grasp.collision import DecomposeConfig, collision_of, decompose, deform_parts
+from gfp_grasp.collision import DecomposeConfig, collision_of, decompose, deform_parts, with_binding
 from gfp_grasp.collision.convex import convex_part
 from gfp_grasp.collision.deformed import _barycentric, _on_surface, _thinned
 from gfp_grasp.collision.fidelity import union_error_m
 from gfp_grasp.collision.parts import PartFaces, volume_m3, within_parts
 from gfp_grasp.errors import DecompositionFailed, InvalidMesh
 from gfp_grasp.primitives import PrimitiveLibrary
-from gfp_grasp.types import CompletedShape, ConvexPart, FittedPrimitive, GenericPrimitive, Symmetry, Variant
+from gfp_grasp.types import (
+    CompletedShape,
+    ConvexPart,
+    FittedPrimitive,
+    GenericPrimitive,
+    PartBinding,
+    Symmetry,
+    Variant,
+)
 
 OUTER, INNER, FLOOR, HEIGHT = 0.04, 0.036, 0.004, 0.1
 
@@ -165,6 +174,40 @@ def test_the_order_of_merges_is_the_primitives_own_where_it_has_one():
     assert volumes[3] == pytest.approx(across)
     wrong = replace(TEMPLATE, part_merges=np.array([[3, 4]]))
     assert max(volume_m3(part) for part in deform_parts(wrong, CUP.vertices, count=4)) < 0.9 * across
+
+
+def test_a_stored_binding_moves_the_parts_and_the_gap_as_one_that_is_found(monkeypatch):
+    stored = with_binding(TEMPLATE)
+    assert stored.binding is not None
+    assert stored.binding.gap_m is not None
+    expected = {count: deform_parts(TEMPLATE, tapered(CUP.vertices), count=count) for count in (None, 2)}
+    mesh = trimesh.Trimesh(tapered(CUP.vertices), CUP.faces, process=False)
+    ball = collision_of(completed(mesh, TEMPLATE)).notes["ball_m"]
+    monkeypatch.setattr("gfp_grasp.collision.choice.widest_gap", lambda mesh: pytest.fail("it is stored"))
+    for count, parts in expected.items():  # of two parts no binding is stored: it is found
+        for part, other in zip(parts, deform_parts(stored, tapered(CUP.vertices), count=count), strict=True):
+            np.testing.assert_array_equal(part.vertices, other.vertices)
+    assert collision_of(completed(mesh, stored)).notes["ball_m"] == ball
+    cut = replace(stored.binding, weights=stored.binding.weights[::-1] * 0 + [1, 0, 0])
+    moved = deform_parts(replace(stored, binding=cut), tapered(CUP.vertices))
+    on_corners = np.concatenate([part.vertices for part in moved])
+    assert KDTree(tapered(CUP.vertices)).query(on_corners)[0].max() < 1e-7
+
+
+@pytest.mark.parametrize(
+    "wrong", [{"weights": np.ones((3, 2))}, {"ends": [2]}, {"ends": [2, 1, 3]}, {"gap_m": [0, 1]}, {"ends": []}]
+)
+def test_a_binding_whose_arrays_do_not_fit_is_refused(wrong):
+    right = {"corners": [[0, 1, 2]] * 3, "weights": [[1, 0, 0]] * 3, "height_m": [0] * 3, "ends": [1, 3]}
+    assert PartBinding(**right, gap_m=None).ends.tolist() == [1, 3]
+    with pytest.raises(InvalidMesh):
+        PartBinding(**{**right, "gap_m": None, **wrong})
+
+
+def test_a_binding_to_vertices_that_are_not_there_is_refused():
+    far = PartBinding(np.array([[0, 1, len(CUP.vertices)]]), np.eye(3)[:1], np.zeros(1), np.ones(1), None)
+    with pytest.raises(InvalidMesh, match=f"has vertex {len(CUP.vertices)}"):
+        replace(TEMPLATE, binding=far)
 
 
 def hull_of(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

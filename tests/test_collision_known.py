@@ -20,7 +20,7 @@ from gfp_grasp.collision.choice import _ball, _measured, _said
 from gfp_grasp.collision.convex import _directions, convex_part, convex_parts, fewer_corners, needed_corners
 from gfp_grasp.collision.cutting import _measured as measured_piece
 from gfp_grasp.collision.cutting import _planes, _solid, cut_parts
-from gfp_grasp.collision.deformed import _bind, _thinned
+from gfp_grasp.collision.deformed import _thinned, bind_parts
 from gfp_grasp.collision.fidelity import ball_radii_m, barycentric_hold, union_error_m, volume_ratios, widest_gap
 from gfp_grasp.collision.levels import levels_of
 from gfp_grasp.collision.parts import PartFaces, diagonal_m
@@ -159,9 +159,8 @@ def test_few_corners_are_chosen_as_ever() -> None:
 
 
 def test_parts_of_a_bent_cup_are_bound_as_ever() -> None:
-    bound = _bind(TEMPLATE, 3)
-    assert_known("binding", bound.weights @ TEMPLATE.vertices)
-    assert_known("binding heights", np.column_stack([bound.height_m, bound.edge_m]))
+    bound = bind_parts(TEMPLATE, 3, gap_m=None)
+    assert_known("binding", np.einsum("pc,pci->pi", bound.weights, TEMPLATE.vertices[bound.corners]))
     assert_known("binding ends", bound.ends)
     moved = tapered(np.asarray(CUP.vertices))
     for count, most in ((None, None), (2, None), (99, 8)):

@@ -245,12 +245,16 @@ def test_parts_come_at_every_level_for_the_primitive_and_its_variants(assembled,
         seen.append(len(mesh.vertices))
         return part
 
+    bound: list[object] = []
     monkeypatch.setattr("gfp_grasp.collision.part_levels", levels)
+    monkeypatch.setattr("gfp_grasp.collision.with_binding", lambda primitive: (bound.append(primitive), primitive)[1])
     monkeypatch.setattr(build, "replace", lambda of, **fields: (kept.append(fields), of)[1])
     with_parts(primitive)
     assert seen == [len(primitive.vertices), len(primitive.variants[0].primitive.vertices)]
     whole = next(fields for fields in kept if "variants" in fields and len(fields["variants"]))
     assert (whole["parts"], whole["part_merges"], whole["part_errors_m"]) == (part.parts, part.merges, part.errors_m)
+    assert bound == [primitive.variants[0].primitive, primitive]
+    assert all(fields["binding"] is None for fields in kept if "parts" in fields)
 
 
 @pytest.mark.parametrize(

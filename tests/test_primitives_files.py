@@ -17,18 +17,23 @@ from toy_wedge import wedge_primitive
 from gfp_grasp.errors import AssetMissing, UnreadableFile
 from gfp_grasp.primitives import read_primitive, save_primitive
 from gfp_grasp.primitives.store import read_spec
-from gfp_grasp.types import GenericPrimitive, Symmetry, Variant
+from gfp_grasp.types import GenericPrimitive, PartBinding, Symmetry, Variant
 
 NAMES = {
     *("vertices", "faces", "modes", "explained", "log_scale_cov", "coefficient_samples", "up", "regions", "symmetry"),
     *("part_sizes", "part_vertices", "part_faces", "part_merges", "part_errors_m"),
 }
+BINDING = {f"binding_{name}" for name in ("corners", "weights", "height_m", "ends", "gap_m")}
 
 
 def _primitive() -> GenericPrimitive:
     """A wedge with an ear and a tail that may be missing together, and with parts and prototypes."""
     wedge = wedge_primitive()
     regions = np.where(wedge.vertices[:, 0] > 0.06, 2, np.where(wedge.vertices[:, 0] < -0.03, 3, 0)).astype(np.uint8)
+    weights = np.array([[1, 0, 0], [0.5, 0.25, 0.25]])
+    binding = PartBinding(
+        np.array([[0, 1, 2], [3, 2, 1]]), weights, np.array([1e-3, 0]), np.array([1, 2]), np.array([0.01, 0, 0.02])
+    )
     own = replace(
         wedge,
         subcategory="odd",
@@ -39,11 +44,12 @@ def _primitive() -> GenericPrimitive:
         parts=l_parts(),
         part_merges=np.array([[0, 1]]),
         part_errors_m=np.array([[0.2, 0.3], [0.0, 0.1]]),
+        binding=binding,
         prototypes=np.eye(3)[:2],
         card={"seed": 3, "category": "another", "sha256": "none", "subcategory": "x", "figures": [1.5]},
     )
     bare = replace(own, symmetry=Symmetry(np.array([0.0, 0.0, 1.0]), 3, np.array([0.0, 1.0, 0.0])), card={})
-    bare = replace(bare, prototypes=np.zeros((0, 0)))
+    bare = replace(bare, prototypes=np.zeros((0, 0)), binding=None)
     return replace(own, variants=(Variant(("ear", "tail"), bare, np.arange(len(wedge.vertices))),))
 
 
@@ -57,7 +63,7 @@ def test_a_primitive_is_three_files_that_others_may_read(tmp_path: Path) -> None
     np.testing.assert_allclose(np.sort(mesh.vertices, axis=0), np.sort(primitive.vertices, axis=0), atol=1e-7)
     inner = {f"without.ear+tail.{name}" for name in (*NAMES, "vertex_map")}
     arrays = load_file(path)
-    assert set(arrays) == NAMES | {"prototypes"} | inner
+    assert set(arrays) == NAMES | BINDING | {"prototypes"} | inner
     assert arrays["modes"].dtype == np.float32
     np.testing.assert_array_equal(arrays["symmetry"], [0, 0, 1, 1, np.nan, np.nan, np.nan])
     np.testing.assert_array_equal(arrays["without.ear+tail.symmetry"], [0, 0, 1, 3, 0, 1, 0])
@@ -91,7 +97,8 @@ def test_the_card_names_digests_and_does_not_let_itself_be_overwritten(tmp_path:
     assert "subcategory" not in json.loads(plain.with_suffix(".json").read_text(encoding="utf-8"))
     # Parts are no shape: a network does not mind other ones.
     other = save_primitive(
-        replace(primitive, parts=(), part_merges=np.zeros((0, 2)), part_errors_m=np.zeros((0, 2))), tmp_path
+        replace(primitive, parts=(), part_merges=np.zeros((0, 2)), part_errors_m=np.zeros((0, 2)), binding=None),
+        tmp_path,
     )
     again = json.loads(other.with_suffix(".json").read_text(encoding="utf-8"))
     assert again["shape_sha256"] == card["shape_sha256"]
@@ -117,6 +124,10 @@ def test_all_of_a_primitive_comes_back(tmp_path: Path) -> None:
         assert len(one.parts) == len(other.parts)
         np.testing.assert_array_equal(one.parts[0].vertices, other.parts[0].vertices)
         assert (one.symmetry.mirror_normal is None) == (other.symmetry.mirror_normal is None)
+    assert again.binding is not None
+    for name in ("corners", "weights", "height_m", "ends", "gap_m"):
+        np.testing.assert_array_equal(getattr(again.binding, name), getattr(primitive.binding, name), err_msg=name)
+    assert again.variants[0].primitive.binding is None
     assert again.variants[0].primitive.variants == ()
     assert again.card["seed"] == 3
     round_one = replace(primitive, symmetry=Symmetry(np.array([0.0, 0.0, 1.0]), math.inf), variants=())

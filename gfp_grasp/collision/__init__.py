@@ -8,7 +8,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from gfp_grasp.collision.choice import collision_of
+    from gfp_grasp.collision.choice import collision_of, with_binding
     from gfp_grasp.collision.config import CollisionConfig, DecomposeConfig
     from gfp_grasp.collision.convex import MIN_THICKNESS_M, convex_part, within_bounds
     from gfp_grasp.collision.cutting import cut_parts
@@ -39,6 +39,7 @@ __all__ = [
     "parts_to_arrays",
     "read_parts",
     "union_error_m",
+    "with_binding",
     "within_bounds",
     "within_parts",
     "write_parts",
@@ -64,6 +65,7 @@ _HOMES = {
     "parts_to_arrays": "parts",
     "read_parts": "store",
     "union_error_m": "fidelity",
+    "with_binding": "choice",
     "within_bounds": "convex",
     "within_parts": "parts",
     "write_parts": "store",

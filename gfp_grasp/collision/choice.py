@@ -13,7 +13,7 @@ import trimesh
 from gfp_grasp.collision.config import CollisionConfig, DecomposeConfig
 from gfp_grasp.collision.convex import convex_part
 from gfp_grasp.collision.decomposition import decompose, hull
-from gfp_grasp.collision.deformed import deform_parts, matching_primitive
+from gfp_grasp.collision.deformed import bind_parts, deform_parts, matching_primitive
 from gfp_grasp.collision.fidelity import (
     LEAST_BALL,
     ball_radii_m,
@@ -37,8 +37,8 @@ _CONVEX_EXCESS = 1e-3
 # not worth their time; on a template of 0.2 m, these are 0.01 mm and 0.1 mm.
 _NEXT_TO_NOTHING = np.array([1 / 20_000, 1 / 2000])
 _SAMPLES = 300
-# Vertices and weights that hold the centre of the largest ball in a primitive; None where there is none.
-_gaps: WeakKeyDictionary[GenericPrimitive, tuple[np.ndarray, np.ndarray] | None] = WeakKeyDictionary()
+# Centre of the largest ball in a primitive without a stored binding; None where there is none.
+_gaps: WeakKeyDictionary[GenericPrimitive, np.ndarray | None] = WeakKeyDictionary()
 
 
 def collision_of(shape: CompletedShape, *, config: CollisionConfig = CollisionConfig()) -> CollisionMesh:
@@ -144,15 +144,26 @@ def _measured(primitive: GenericPrimitive, mesh: trimesh.Trimesh, level: int, co
 
 def _ball(primitive: GenericPrimitive, mesh: trimesh.Trimesh, faces: PartFaces) -> dict[str, object]:
     """Notes of the ball that fits into a completed primitive; none where the primitive is not hollow."""
-    if primitive not in _gaps:
-        centre = widest_gap(trimesh.Trimesh(primitive.vertices, primitive.faces, process=False))
-        _gaps[primitive] = None if centre is None else barycentric_hold(centre, primitive.vertices)
-    gap = _gaps[primitive]
-    if gap is None:
+    gap_m = _gap_m(primitive)
+    if gap_m is None:
         return {}
-    holders, weights = gap
+    holders, weights = barycentric_hold(gap_m, primitive.vertices)
     free, left = ball_radii_m(weights @ mesh.vertices[holders], mesh, faces)
     return {"ball_m": free, "ball_left_m": left} if free > LEAST_BALL * diagonal_m(primitive.vertices) else {}
+
+
+def _gap_m(primitive: GenericPrimitive) -> np.ndarray | None:
+    if primitive.binding is not None:
+        return primitive.binding.gap_m
+    if primitive not in _gaps:
+        _gaps[primitive] = widest_gap(trimesh.Trimesh(primitive.vertices, primitive.faces, process=False))
+    return _gaps[primitive]
+
+
+def with_binding(primitive: GenericPrimitive) -> GenericPrimitive:
+    """A primitive with parts, with the binding of the level that is taken by default; its variants stay as they are."""
+    (level,) = _levels(primitive, primitive.vertices, CollisionConfig())
+    return replace(primitive, binding=bind_parts(primitive, level, gap_m=_gap_m(primitive)))
 
 
 def _is_true(found: CollisionMesh, shape: CompletedShape, config: CollisionConfig) -> bool:

@@ -8,12 +8,10 @@ bulges, the part bulges too. Only the corners that a part needs on the undeforme
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from weakref import WeakKeyDictionary
 
 import numpy as np
 import trimesh
-from scipy.sparse import csr_matrix
 from scipy.spatial import KDTree
 
 from gfp_grasp.collision.convex import convex_parts, needed_corners
@@ -21,7 +19,7 @@ from gfp_grasp.collision.levels import groups_of, merge_tree
 from gfp_grasp.collision.parts import diagonal_m, within_parts
 from gfp_grasp.errors import InvalidMesh, InvalidOption
 from gfp_grasp.meshes import triangle_normals
-from gfp_grasp.types import ConvexPart, GenericPrimitive
+from gfp_grasp.types import ConvexPart, GenericPrimitive, PartBinding
 
 # Lengths are shares of the template's diagonal, which was about 0.2 m where they were chosen.
 # CoACD's arithmetic scatters points of the surface by about 1e-8 of the size; this is far above it and below any wall.
@@ -33,34 +31,8 @@ _TOLERANCE = 1 / 2000  # 0.1 mm
 _SPACING = 1 / 40  # 5 mm
 
 
-@dataclass(frozen=True, eq=False)
-class _Binding:
-    """How the p points of all parts move with v vertices.
-
-    Attributes:
-        weights: (p, v), rows sum to one; they give the foot of each point on the surface.
-        corners: (p, 3) vertices of the triangle below each point.
-        height_m: (p,) height of each point above that triangle, along the normal.
-        edge_m: (p,) size of that triangle on the undeformed primitive.
-        ends: (parts,) where the points of each part end.
-    """
-
-    weights: csr_matrix
-    corners: np.ndarray
-    height_m: np.ndarray
-    edge_m: np.ndarray
-    ends: np.ndarray
-
-    def moved(self, vertices: np.ndarray) -> list[np.ndarray]:
-        """Points of each part (n, 3) m after the vertices have moved to (v, 3) m."""
-        normals, edge = _frames(vertices[self.corners])
-        # The height above the surface scales with the triangle below.
-        height = self.height_m * edge / np.maximum(self.edge_m, 1e-12)
-        return np.split(self.weights @ vertices + normals * height[:, None], self.ends[:-1])
-
-
-# Bindings of a primitive by the number of its parts.
-_bindings: WeakKeyDictionary[GenericPrimitive, dict[int, _Binding]] = WeakKeyDictionary()
+# Bindings of a primitive by the number of its parts, beside the one that is stored with it.
+_bindings: WeakKeyDictionary[GenericPrimitive, dict[int, PartBinding]] = WeakKeyDictionary()
 
 
 def deform_parts(
@@ -95,18 +67,30 @@ def deform_parts(
     if vertices.shape != primitive.vertices.shape or not np.isfinite(vertices).all():
         raise InvalidMesh(f"deformed vertices of shape {vertices.shape} are not finite (v, 3)")
     most = len(primitive.parts)
-    clouds = _binding(primitive, most if count is None else min(count, most)).moved(vertices)
-    parts, dropped = convex_parts(clouds, max_vertices=max_vertices)
+    binding = _binding(primitive, most if count is None else min(count, most))
+    parts, dropped = convex_parts(_moved(binding, primitive.vertices, vertices), max_vertices=max_vertices)
     if not parts:
         raise InvalidMesh(f"all {dropped} deformed parts are flat: the deformation has flattened the primitive")
     return parts
 
 
-def _binding(primitive: GenericPrimitive, count: int) -> _Binding:
+def _binding(primitive: GenericPrimitive, count: int) -> PartBinding:
+    if primitive.binding is not None and len(primitive.binding.ends) == count:
+        return primitive.binding
     levels = _bindings.setdefault(primitive, {})
     if count not in levels:
-        levels[count] = _bind(primitive, count)
+        levels[count] = bind_parts(primitive, count, gap_m=None)
     return levels[count]
+
+
+def _moved(binding: PartBinding, before: np.ndarray, after: np.ndarray) -> list[np.ndarray]:
+    """Points (n, 3) m of each part after the primitive's vertices have moved from before to after, both (v, 3) m."""
+    triangles = after[binding.corners]
+    (_, size_before), (normals, size) = _frames(before[binding.corners]), _frames(triangles)
+    # The height above the surface scales with the triangle below.
+    height = binding.height_m * size / np.maximum(size_before, 1e-12)
+    feet = np.einsum("pc,pci->pi", binding.weights, triangles)
+    return np.split(feet + normals * height[:, None], binding.ends[:-1])
 
 
 def _groups(primitive: GenericPrimitive, count: int) -> list[list[int]]:
@@ -130,7 +114,14 @@ def matching_primitive(primitive: GenericPrimitive, num_vertices: int) -> Generi
     raise InvalidMesh(f"{num_vertices} vertices came; primitive {primitive.category!r} has {counts}")
 
 
-def _bind(primitive: GenericPrimitive, count: int) -> _Binding:
+def bind_parts(primitive: GenericPrimitive, count: int, *, gap_m: np.ndarray | None) -> PartBinding:
+    """Bind the parts of one level to the primitive's surface.
+
+    Args:
+        primitive: With parts.
+        count: Number of parts of the level, at most that of the primitive.
+        gap_m: (3,) m, what the binding says of where the primitive is hollow.
+    """
     template = trimesh.Trimesh(primitive.vertices, primitive.faces, process=False)
     size_m = diagonal_m(primitive.vertices)
     owned = within_parts(primitive.vertices, primitive.parts, margin_m=_ON_SURFACE * size_m)
@@ -143,11 +134,9 @@ def _bind(primitive: GenericPrimitive, count: int) -> _Binding:
     corners = primitive.faces[face]
     triangles = primitive.vertices[corners]
     barycentric = _barycentric(triangles, feet)
-    rows = np.repeat(np.arange(len(points)), 3)
-    weights = csr_matrix((barycentric.ravel(), (rows, corners.ravel())), (len(points), len(primitive.vertices)))
-    normals, edge = _frames(triangles)
+    normals, _ = _frames(triangles)
     height = np.einsum("ij,ij->i", points - feet, normals)
-    return _Binding(weights, corners, height, edge, np.cumsum([len(cloud) for cloud in clouds]))
+    return PartBinding(corners, barycentric, height, np.cumsum([len(cloud) for cloud in clouds]), gap_m)
 
 
 def _thinned(cloud: np.ndarray, size_m: float) -> np.ndarray:

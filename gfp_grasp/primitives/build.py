@@ -320,15 +320,17 @@ def with_parts(primitive: GenericPrimitive) -> GenericPrimitive:
     Raises:
         DecompositionFailed: CoACD was lost in every attempt.
     """
-    from gfp_grasp.collision import part_levels  # starts a child process
+    from gfp_grasp.collision import part_levels, with_binding  # starts a child process
 
     levels = part_levels(trimesh.Trimesh(primitive.vertices, primitive.faces, process=False))
     errors_mm = [round(1e3 * float(error), 3) for error in levels.errors_m[-1]]
-    return replace(
+    decomposed = replace(
         primitive,
         card={**primitive.card, "parts": len(levels.parts), "parts_error_mm": errors_mm},
         parts=levels.parts,
         part_merges=levels.merges,
         part_errors_m=levels.errors_m,
+        binding=None,
         variants=tuple(replace(v, primitive=with_parts(v.primitive)) for v in primitive.variants),
     )
+    return with_binding(decomposed)

@@ -15,7 +15,7 @@ from safetensors.numpy import load_file, save_file
 
 from gfp_grasp.collision import parts_from_arrays, parts_to_arrays
 from gfp_grasp.errors import AssetMissing, GfpGraspError, InvalidOption, UnreadableFile
-from gfp_grasp.types import CategorySpec, GenericPrimitive, Symmetry, Variant
+from gfp_grasp.types import CategorySpec, GenericPrimitive, PartBinding, Symmetry, Variant
 
 _AND = "+"  # between the names of the parts that a variant lacks, in the names of its arrays
 _ARRAYS = ("vertices", "faces", "modes", "explained", "log_scale_cov", "coefficient_samples", "up", "regions")
@@ -136,6 +136,7 @@ def _arrays_of(primitive: GenericPrimitive, prefix: str) -> dict[str, np.ndarray
     arrays |= parts_to_arrays(primitive.parts, prefix=f"{prefix}part_")
     arrays[prefix + "part_merges"] = np.ascontiguousarray(primitive.part_merges)
     arrays[prefix + "part_errors_m"] = np.ascontiguousarray(primitive.part_errors_m)
+    arrays |= _arrays_of_binding(primitive.binding, f"{prefix}binding_")
     if len(primitive.prototypes):
         arrays[prefix + "prototypes"] = np.ascontiguousarray(primitive.prototypes)
     for variant in primitive.variants:
@@ -157,12 +158,32 @@ def _from_arrays(arrays: dict[str, np.ndarray], prefix: str, card: dict) -> Gene
         parts=parts_from_arrays(arrays, prefix=f"{prefix}part_"),
         part_merges=arrays.get(prefix + "part_merges", np.zeros((0, 2))),
         part_errors_m=arrays.get(prefix + "part_errors_m", np.zeros((0, 2))),
+        binding=_binding_in(arrays, f"{prefix}binding_"),
         region_names=tuple(card["region_names"]),
         variants=() if prefix else tuple(_variants(arrays, card)),
         licence=card["licence"],
         card=card,
         spec=CategorySpec.from_dict(card["spec"]) if "spec" in card else None,  # pyright: ignore[reportArgumentType]
         prototypes=arrays.get(prefix + "prototypes", np.zeros((0, 0))),
+    )
+
+
+def _arrays_of_binding(binding: PartBinding | None, prefix: str) -> dict[str, np.ndarray]:
+    if binding is None:
+        return {}
+    arrays = {name: np.ascontiguousarray(getattr(binding, name)) for name in ("weights", "height_m", "ends")}
+    arrays["corners"] = binding.corners.astype(np.uint16 if binding.corners.max() < 2**16 else np.int32)
+    if binding.gap_m is not None:
+        arrays["gap_m"] = np.ascontiguousarray(binding.gap_m)
+    return {prefix + name: array for name, array in arrays.items()}
+
+
+def _binding_in(arrays: dict[str, np.ndarray], prefix: str) -> PartBinding | None:
+    if prefix + "corners" not in arrays:
+        return None
+    return PartBinding(
+        **{name: arrays[prefix + name] for name in ("corners", "weights", "height_m", "ends")},
+        gap_m=arrays.get(prefix + "gap_m"),
     )
 
 

@@ -57,6 +57,41 @@ class ConvexPart:
 
 
 @dataclass(frozen=True, eq=False)
+class PartBinding:
+    """How the p points of convex parts move with a primitive's surface, and where the primitive is hollow.
+
+    Attributes:
+        corners: (p, 3) vertices of the triangle below each point.
+        weights: (p, 3) float32, where on the triangle the foot of each point is; rows sum to one.
+        height_m: (p,) float32, height of each point above that triangle, along the normal.
+        ends: (parts,) where the points of each part end.
+        gap_m: (3,) m, centre of the widest ball that fits into the primitive, as into a cup; None where it is solid.
+    """
+
+    corners: np.ndarray
+    weights: np.ndarray
+    height_m: np.ndarray
+    ends: np.ndarray
+    gap_m: np.ndarray | None
+
+    def __post_init__(self) -> None:
+        freeze(self, "corners", np.asarray(self.corners, dtype=np.int32))
+        freeze(self, "weights", np.asarray(self.weights, dtype=np.float32))
+        freeze(self, "height_m", np.asarray(self.height_m, dtype=np.float32))
+        freeze(self, "ends", np.asarray(self.ends, dtype=np.int32))
+        count = len(self.height_m)
+        if not self.corners.shape == self.weights.shape == (count, 3) or (np.diff(self.ends, prepend=0) < 0).any():
+            raise InvalidMesh(
+                f"a binding has corners {self.corners.shape}, weights {self.weights.shape} and ends {self.ends}; "
+                f"({count}, 3) and ascending ends are expected"
+            )
+        if self.ends.shape[0] < 1 or self.ends[-1] != count:
+            raise InvalidMesh(f"the parts of a binding end at {self.ends[-1:]}; it has {count} points")
+        if self.gap_m is not None:
+            freeze(self, "gap_m", checked_vector(self.gap_m, 3, "gap_m", InvalidMesh))
+
+
+@dataclass(frozen=True, eq=False)
 class Variant:
     """A primitive without some of its optional parts: the holes that they leave are closed.
 
@@ -105,6 +140,8 @@ class GenericPrimitive:
         part_merges: (p - 1, 2) which of them become one first, see `collision.levels`; empty where that is not stored.
         part_errors_m: (p, 2) m, mean and 95 % distance between the mean mesh and its parts where 1 .. p are left; or
             empty.
+        binding: How the parts of the default level move with the surface; None where that is not stored: it is found
+            at their first use then, which takes a fifth of a second.
         variants: The same body without some of its optional parts, for each set of parts that it may lack.
         licence: Licence of the meshes it was built from.
         card: How it was built: command, seed, data, metrics.
@@ -130,6 +167,7 @@ class GenericPrimitive:
     subcategory: str = ""
     part_merges: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
     part_errors_m: np.ndarray = field(default_factory=lambda: np.zeros((0, 2)))
+    binding: PartBinding | None = None
     spec: CategorySpec = None  # pyright: ignore[reportAssignmentType]
     prototypes: np.ndarray = field(default_factory=lambda: np.zeros((0, 0)))
 
@@ -160,6 +198,8 @@ class GenericPrimitive:
         if prototypes.ndim != 2 or not np.isfinite(prototypes).all():
             raise InvalidMesh(f"prototypes have shape {prototypes.shape}; finite (p, c) is expected")
         freeze(self, "prototypes", prototypes)
+        if self.binding is not None and self.binding.corners.max(initial=0) >= len(vertices):
+            raise InvalidMesh(f"the binding has vertex {self.binding.corners.max()}; there are {len(vertices)}")
         if self.spec is None:
             object.__setattr__(self, "spec", default_spec(self))
         elif self.spec.category != self.name:
