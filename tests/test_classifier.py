@@ -72,12 +72,16 @@ def test_subcategories_count_by_their_share():
     np.testing.assert_array_equal(own.vectors, np.eye(3))
 
 
+class _Toy(SimpleNamespace):
+    __hash__ = object.__hash__
+
+
 def test_shares_within_a_class_go_by_prototypes_and_far_from_all_by_the_share_of_each(monkeypatch):
     axes = np.eye(4)
     card = {"prototypes_sha256": "this"}
     cups: Any = [
-        SimpleNamespace(name="cup", spec=SimpleNamespace(share=0.8), prototypes=axes[:1], card=card),
-        SimpleNamespace(name="cup.lidded", spec=SimpleNamespace(share=0.4), prototypes=axes[1:3], card=card),
+        _Toy(name="cup", spec=SimpleNamespace(share=0.8), prototypes=axes[:1], card=card),
+        _Toy(name="cup.lidded", spec=SimpleNamespace(share=0.4), prototypes=axes[1:3], card=card),
     ]
     monkeypatch.setattr(module, "load_card", lambda: {"sha256": "this"})
     monkeypatch.setattr(module, "load_calibration", lambda: CALIBRATION)

@@ -146,6 +146,17 @@ def test_faces_that_touch_or_are_coplanar_do_not_cross():
     assert len(crossing_faces(into.vertices, into.faces)) > 0
 
 
+def test_crossings_among_some_faces_are_the_pairs_that_hold_one_of_them():
+    rng = np.random.default_rng(1)
+    vertices, faces = rng.normal(size=(90, 3)), np.arange(90).reshape(30, 3)
+    pairs = crossing_faces(vertices, faces)
+    some = np.arange(30) % 7 == 2
+    asked = crossing_faces(vertices, faces, among=some)
+    np.testing.assert_array_equal(asked, pairs[some[pairs].any(axis=1)])
+    assert 0 < len(asked) < len(pairs)
+    assert len(crossing_faces(vertices, faces, among=np.zeros(30, dtype=bool))) == 0
+
+
 def test_crossings_do_not_depend_on_pose_or_unit():
     two = _together([trimesh.creation.icosphere(3, 0.03), _moved(trimesh.creation.icosphere(2, 0.02), [0.02, 0, 0])])
     expected = crossing_faces(two.vertices, two.faces)

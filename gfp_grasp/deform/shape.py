@@ -64,9 +64,10 @@ def damp_until_solid(vertices: np.ndarray, faces: np.ndarray, displacement: np.n
     """
     share = np.ones(len(vertices))
     average = _cached_average(faces.tobytes(), len(faces), len(vertices))
+    changed = None
     for _ in range(_HALVINGS):
         moved = vertices + share[:, None] * displacement
-        bad = _bad_faces(vertices, moved, faces)
+        bad = _bad_faces(vertices, moved, faces, changed)
         if len(bad) == 0:
             return moved, float(share.min())
         near = np.zeros(len(vertices))
@@ -74,6 +75,7 @@ def damp_until_solid(vertices: np.ndarray, faces: np.ndarray, displacement: np.n
         for _ in range(3):  # the damping fades out over three rings: an edge of its own would fold the surface
             near = np.maximum(near, 0.7 * (average @ near))
         share *= 1.0 - 0.5 * np.minimum(near, 1.0)
+        changed = (near > 0)[faces].any(axis=1)  # the others were good, and stay so among themselves
     for factor in (0.5, 0.25, 0.1, 0.0):
         moved = vertices + factor * share[:, None] * displacement
         if len(_bad_faces(vertices, moved, faces)) == 0:
@@ -81,11 +83,14 @@ def damp_until_solid(vertices: np.ndarray, faces: np.ndarray, displacement: np.n
     return vertices.copy(), 0.0
 
 
-def _bad_faces(before: np.ndarray, after: np.ndarray, faces: np.ndarray) -> np.ndarray:
+def _bad_faces(
+    before: np.ndarray, after: np.ndarray, faces: np.ndarray, changed: np.ndarray | None = None
+) -> np.ndarray:
+    """Faces that fold, and those that cross others; only the `changed` (f,) bool can cross where that is given."""
     old, new = triangle_normals(before[faces]), triangle_normals(after[faces])
     scale = np.linalg.norm(old, axis=1) * np.linalg.norm(new, axis=1) + 1e-30
     folded = np.flatnonzero(np.einsum("fi,fi->f", old, new) / scale < _FOLD_COSINE)
-    return np.union1d(folded, crossing_faces(after, faces).ravel()).astype(np.int64)
+    return np.union1d(folded, crossing_faces(after, faces, among=changed).ravel()).astype(np.int64)
 
 
 @lru_cache(maxsize=32)

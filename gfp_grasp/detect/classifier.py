@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import NamedTuple
 
 import numpy as np
@@ -89,7 +90,7 @@ def shares_in(embedding: np.ndarray, members: Sequence[GenericPrimitive]) -> dic
     shares = np.array([primitive.spec.share for primitive in members])
     odds = shares / shares.sum()
     if all(map(_is_known, members)):
-        whole, calibration = mixed(members), load_calibration()
+        whole, calibration = mixed(tuple(members)), load_calibration()
         near = (whole.vectors @ embedding - 1.0) / calibration.temperature + _DILUTION * np.log(whole.weights)
         floor = np.log(odds) - calibration.reach / calibration.temperature
         masses = np.array([np.logaddexp.reduce(near[whole.member == k], initial=low) for k, low in enumerate(floor)])
@@ -138,7 +139,8 @@ def library_prototypes(library: PrimitiveLibrary) -> dict[str, Prototypes]:
     return {category: mixed(library.members_of(category)) for category in library.categories}
 
 
-def mixed(members: Sequence[GenericPrimitive]) -> Prototypes:
+@lru_cache(maxsize=256)
+def mixed(members: tuple[GenericPrimitive, ...]) -> Prototypes:
     """The prototypes of a class and of its subcategories together."""
     for primitive in members:
         if not _is_known(primitive):

@@ -105,7 +105,7 @@ _TOUCH = 1e-9
 _BATCH = 1_000_000
 
 
-def crossing_faces(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
+def crossing_faces(vertices: np.ndarray, faces: np.ndarray, *, among: np.ndarray | None = None) -> np.ndarray:
     """Pairs of faces that pass through each other and share no vertex.
 
     Faces that only touch, or lie in one plane, do not cross.
@@ -113,6 +113,7 @@ def crossing_faces(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     Args:
         vertices: (v, 3) m.
         faces: (f, 3) int.
+        among: (f,) bool, of which faces each pair has at least one; None asks for all pairs.
 
     Returns:
         (c, 2) int pairs of face indices, the smaller first, in ascending order; empty where nothing crosses.
@@ -125,16 +126,19 @@ def crossing_faces(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
         return np.zeros((0, 2), dtype=np.int64)
     corners = vertices[faces]
     touch = _TOUCH * float(np.linalg.norm(corners.max(axis=(0, 1)) - corners.min(axis=(0, 1))))
-    found = [_crossing(pairs, corners, touch) for pairs in _box_overlaps(corners, faces)]
+    found = [_crossing(pairs, corners, touch) for pairs in _box_overlaps(corners, faces, among)]
     pairs = np.concatenate(found) if found else np.zeros((0, 2), dtype=np.int64)
     return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
 
 
-def _box_overlaps(corners: np.ndarray, faces: np.ndarray) -> Iterator[np.ndarray]:
-    """Batches (b, 2) of pairs whose boxes overlap and that share no vertex, each pair once."""
+def _box_overlaps(corners: np.ndarray, faces: np.ndarray, among: np.ndarray | None) -> Iterator[np.ndarray]:
+    """Batches (b, 2) of pairs whose boxes overlap and that share no vertex, each pair once; see `crossing_faces`."""
     low, high = corners.min(axis=1), corners.max(axis=1)
     first_cell, last_cell = _grid(low, high)
     face, cell, key = _entries(first_cell, last_cell)
+    if among is not None:
+        near = np.isin(key, key[among[face]])
+        face, cell, key = face[near], cell[near], key[near]
     # Column by column: a test of whole rows takes twice as long.
     low, high, first_cell, cell = (np.ascontiguousarray(array.T) for array in (low, high, first_cell, cell))
     # Within a cell, each entry is paired with those after it.
@@ -154,6 +158,8 @@ def _box_overlaps(corners: np.ndarray, faces: np.ndarray) -> Iterator[np.ndarray
             a, b, left = a[keep], b[keep], left[keep]
         meets = [faces[a, i] == faces[b, j] for i in range(3) for j in range(3)]
         apart = ~np.logical_or.reduce(meets)
+        if among is not None:
+            apart &= among[a] | among[b]
         yield np.sort(np.stack([a[apart], b[apart]], axis=1), axis=1)
         start = stop
 

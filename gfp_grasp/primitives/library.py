@@ -61,7 +61,7 @@ class PrimitiveLibrary:
     @property
     def names(self) -> tuple[str, ...]:
         """Classes in alphabetical order, each followed by its subcategories ("cup", "cup.lidded")."""
-        return tuple(sorted(self._index(), key=lambda name: name.split(".")))
+        return tuple(self._index())
 
     def primitive(self, name: str) -> GenericPrimitive:
         """The primitive of a class ("cup") or of a subcategory ("cup.stemmed").
@@ -113,7 +113,7 @@ class PrimitiveLibrary:
         self._paths = None
 
     def _index(self) -> dict[str, Path]:
-        """Path of each primitive's arrays by its name."""
+        """Path of each primitive's arrays by its name, in the order of `names`."""
         if self._paths is None:
             paths: dict[str, Path] = {}
             for folder in self.folders:
@@ -127,7 +127,7 @@ class PrimitiveLibrary:
                 for name in found:
                     if name.split(".")[0] not in paths:
                         raise UnreadableFile(f"{found[name]} is a subcategory of a class that no folder holds")
-            self._paths = paths
+            self._paths = dict(sorted(paths.items(), key=lambda item: item[0].split(".")))
         return self._paths
 
     def _path(self, name: str) -> Path:
