@@ -19,6 +19,7 @@ MISFIT_SHARE = 0.1
 _MIN_POINTS = 6  # a patch with fewer template points sees nothing
 _NEAR_SHARE = 4 / 30  # of the patch unit, a template point is near its vertex
 _MIN_NORMAL_COSINE = 0.5
+_LEAF = 32  # points in a leaf: many, as the tree is asked for sixteen in six dimensions
 
 
 @dataclass(frozen=True, eq=False)
@@ -136,7 +137,7 @@ def _residuals(vertices: np.ndarray, normals: np.ndarray, template: TemplatePoin
         if own.any():
             points, facing = template.points[own], template.normals[own]
             count = min(16, len(points))
-            tree = KDTree(np.hstack([points, unit_m * facing]))
+            tree = KDTree(np.hstack([points, unit_m * facing]), leafsize=_LEAF)
             near = np.reshape(tree.query(np.hstack([vertices, unit_m * normals]), k=count)[1], (-1, count))
             gap = points[near] - vertices[:, None]
             agrees = np.einsum("vi,vki->vk", normals, facing[near]) > _MIN_NORMAL_COSINE

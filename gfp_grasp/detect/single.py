@@ -23,6 +23,7 @@ from gfp_grasp.units import unit_advice
 # No camera has an object fill more of its picture than this, to either side; from within one it is a half space.
 _MAX_HALF_ANGLE_DEG = 65.0
 _MIN_SHARE_IN_MASK = 0.1
+_CROWD_OF = 4000  # grid cells among which the neighbours of each are counted
 _SECOND_SHARE = 0.1  # a second cluster of this share of the first's surface is worth a warning
 # Multiples of the sensor's noise:
 _NEAR = 40.0  # clusters this near may be one object behind an occluder
@@ -166,7 +167,8 @@ def _without_flying(points: np.ndarray, sensor: SensorProfile) -> np.ndarray:
     """Points whose surroundings are not much emptier than the object's: flying pixels hang in the air by themselves."""
     cell_m = VOXEL * sensor.sigma_m
     centres, cell_of = voxel_grid(points, cell_m)
-    crowd = KDTree(centres).query_ball_point(centres, 4 * cell_m, return_length=True)
+    some = centres[:: -(-len(centres) // _CROWD_OF)]
+    crowd = KDTree(some).query_ball_point(centres, 4 * cell_m, return_length=True)
     dense = (crowd >= 0.2 * np.median(crowd))[cell_of]
     return points[dense] if dense.sum() >= MIN_POINTS else points
 
