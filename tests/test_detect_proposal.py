@@ -199,6 +199,20 @@ def test_what_the_proposal_leaves_open_is_tried(mug):
     assert len(starts(None)) == len(starts(_proposal(classes=("cup",)))) == len(everything)
 
 
+def test_what_is_cut_off_starts_as_long_as_its_class_in_the_ways_that_are_proposed(mug):
+    evidence = make_level_view(
+        _detection(
+            _tube(np.random.default_rng(7)), _proposal(rests={"upright": 0.7, "upside_down": 0.26, "lying": 0.04})
+        )
+    )
+    cut = replace(evidence, cut=np.array([0.0, 0.0, 1.0]))
+    ways = ("upright", "upside_down", "lying")
+    found, expected = proposed_starts(mug, cut, ways), make_starts(mug, cut, ways[:2])
+    assert [state.hypothesis for state in found] == 8 * ["upright"] + 8 * ["upside_down"]
+    for state, other in zip(found, expected, strict=True):
+        np.testing.assert_array_equal(state.log_scale, other.log_scale)
+
+
 def test_a_lying_object_is_proposed_with_its_axis_level(mug):
     box = OrientedBox(
         make_T(rotation_about((0, 1, 0), np.radians(80.0)), (0.2, 0.01, 0.05)), np.array([0.12, 0.09, 0.1])

@@ -1,6 +1,7 @@
 """Where the fit starts, which starts go on, and what is chosen in the end."""
 
 from dataclasses import replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -219,6 +220,11 @@ def test_an_end_that_is_hidden_goes_on_to_the_proportions_of_the_primitive(up, a
     found = _complete_ends((0.0, 1.0), own_height, up, (-0.5, 0.5), own_width, across)
     assert found[0] == pytest.approx(height)
     assert found[1] == pytest.approx(width)
+
+
+def test_what_is_cut_off_was_never_seen_whole():
+    """The primitive is shorter than what was seen: a seventh of the object is hidden all the same."""
+    assert _complete_ends((0.0, 1.7), 1.0, 0.9, (-0.5, 0.5), 1.0, 0.0) == ((0.0, pytest.approx(2.0)), (-0.5, 0.5))
 
 
 def test_a_start_of_what_is_cut_off_goes_on_beyond_the_cut_and_only_there():
@@ -482,32 +488,57 @@ def test_a_direction_is_compared_with_the_cut_as_it_is_seen():
 # ---- what is asked in the end
 
 
-def test_only_a_guessed_outline_is_taken_for_cut_off(monkeypatch):
-    calls = []
+def _asked_for_an_occluder(monkeypatch, evidence, violations, costs, **changes: object) -> tuple[list[bool], float]:
+    """Which edges are asked for, and the cost of the answer, where fits have these costs, of free space and in all."""
+    calls, next_cost, violation = [], iter(costs), iter(violations)
+
+    def cut_off(seen, *, straight):
+        calls.append(straight)
+        return replace(seen, cut=UP) if straight else seen
+
+    def search(evidence, candidates, config):
+        return Search(candidates[0][0], 0.0, [wedge_state(cost=next(next_cost), residual_m=0.001)])
+
+    monkeypatch.setattr(fit_module, "cut_off", cut_off)
+    monkeypatch.setattr(fit_module, "search_starts", search)
+    monkeypatch.setattr(fit_module, "evaluate_free_space", lambda *_: next(violation))
+    fit = fit_best(evidence, [(wedge_primitive(), 0.0)], config=replace(LIGHT, roundness=False, **changes))
+    return calls, fit.cost
+
+
+def test_only_a_guessed_outline_is_taken_for_cut_off_and_only_by_what_is_clearly_likelier(monkeypatch):
     _, evidence = _half_seen_wedge()
     assert evidence.viewpoint is not None
     silhouette = guessed_silhouette(evidence.points, evidence.viewpoint, TABLETOP)
     guessed = replace(evidence, silhouette=silhouette)
-    monkeypatch.setattr(fit_module, "cut_off", lambda seen, *, straight: calls.append(straight) or seen)
-    config = replace(LIGHT, hypotheses=("upright",))
-    for cost, seen, expected in (
-        (8.1, guessed, [True, False]),
-        (7.9, guessed, []),
-        (99.0, replace(guessed, silhouette=replace(silhouette, certain=True)), []),
-        (99.0, replace(guessed, silhouette=None), []),
-    ):
-        calls.clear()
-        monkeypatch.setattr(fit_module, "evaluate_free_space", lambda *_, cost=cost: cost)
-        fit_best(seen, [(wedge_primitive(), 0.0)], config=config)
-        assert calls == expected
-    calls.clear()
-    fit_best(guessed, [(wedge_primitive(), 0.0)], config=replace(config, occlusion=False))
-    assert calls == []
-    costs = iter([9.0, 7.0])
-    monkeypatch.setattr(fit_module, "evaluate_free_space", lambda *_: next(costs))
-    calls.clear()
-    fit_best(guessed, [(wedge_primitive(), 0.0)], config=config)
-    assert calls == [True]
+    ask = partial(_asked_for_an_occluder, monkeypatch)
+    assert ask(guessed, [1.9], [50.0]) == ([], 50.0)
+    assert ask(guessed, [2.1, 2.1], [50.0, 42.1]) == ([True], 50.0)
+    assert ask(guessed, [2.1, 2.1], [50.0, 41.9]) == ([True], 41.9)
+    assert ask(guessed, [9.0, 7.9], [50.0, 41.9]) == ([True], 41.9)
+    assert ask(guessed, [9.0, 8.1], [50.0, 43.0, 42.1]) == ([True, False], 50.0)
+    assert ask(guessed, [9.0, 8.1], [50.0, 41.9, 33.8]) == ([True, False], 33.8)
+    assert ask(guessed, [], [50.0], occlusion=False) == ([], 50.0)
+    assert ask(replace(guessed, silhouette=replace(silhouette, certain=True)), [], [50.0]) == ([], 50.0)
+    assert ask(replace(guessed, silhouette=None), [], [50.0]) == ([], 50.0)
+
+
+def test_lengths_are_measured_by_the_likeliest_primitives(monkeypatch):
+    _, evidence = _half_seen_wedge()
+    units = []
+
+    def search(evidence, candidates, config):
+        units.append(config.thorough.unit_m)
+        return Search(candidates[0][0], 0.0, [wedge_state(cost=5.0, residual_m=0.001)])
+
+    monkeypatch.setattr(fit_module, "search_starts", search)
+    wedge = wedge_primitive()
+    sizes = {k: replace(wedge, vertices=k * wedge.vertices) for k in (1, 2, 3, 4, 5, 60, 70)}
+    likely = [(sizes[k], 0.1 * k) for k in (5, 3, 1, 2, 4)]
+    config = replace(LIGHT, roundness=False, occlusion=False)
+    for candidates in (likely, [(sizes[60], 9.0), *likely, (sizes[70], 8.0)]):
+        fit_best(evidence, candidates, config=config)
+    assert units == pytest.approx([3 * wedge.size_m] * 2)
 
 
 @pytest.mark.parametrize(

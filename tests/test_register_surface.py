@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+import trimesh
 from scipy.spatial.transform import Rotation
 from toy_wedge import NUM_MODES, NUM_SAMPLES, derivative, face_normals, positions, wedge_primitive, wedge_state
 
@@ -36,6 +37,20 @@ def test_samples_and_normals_are_those_of_each_state():
     for i, state in enumerate(STATES):
         np.testing.assert_allclose(made.world[i], positions(state, wedge_primitive()), atol=1e-12)
         np.testing.assert_allclose(made.normals[i], face_normals(state, wedge_primitive()), atol=1e-9)
+
+
+def test_the_gap_between_samples_goes_with_the_area():
+    wedge = wedge_primitive()
+    states = [
+        wedge_state(log_scale=np.log(scale), coefficients=np.zeros(NUM_MODES))
+        for scale in ([1.0, 1.0, 1.0], [2.0, 2.0, 2.0], [1.0, 1.0, 1.7])
+    ]
+    made = StateSurface(StateBatch.of(states, NUM_MODES), shape_model(wedge, NUM_SAMPLES, NUM_MODES))
+    areas = [
+        trimesh.Trimesh(wedge.vertices * np.exp(state.log_scale), wedge.faces, process=False).area for state in states
+    ]
+    assert made.sample_gap_m2[:2] == pytest.approx(0.3 * np.array(areas[:2]) / NUM_SAMPLES, rel=1e-9)
+    assert made.sample_gap_m2[2] == pytest.approx(0.3 * areas[2] / NUM_SAMPLES, rel=0.02)
 
 
 def test_vectors_are_told_along_the_axes_of_their_states_object():

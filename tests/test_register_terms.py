@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import trimesh
 from scipy.spatial.transform import Rotation
 from toy_wedge import (
     NUM_MODES,
@@ -25,10 +26,10 @@ from toy_wedge import (
 )
 
 from gfp_grasp.register import RefineConfig
-from gfp_grasp.register.posterior import evaluate_costs, linearise, shape_model
+from gfp_grasp.register.posterior import StateSurface, evaluate_costs, linearise, shape_model
 from gfp_grasp.register.refine import evaluate_free_space, evaluate_states, refine
 from gfp_grasp.register.state import StateBatch
-from gfp_grasp.register.terms import circular_share, ellipticity_gram, make_terms
+from gfp_grasp.register.terms import PointTerm, circular_share, ellipticity_gram, make_terms
 from gfp_grasp.transforms import rotation_about, rotation_between
 from gfp_grasp.types import INSIDE, OUTSIDE
 
@@ -91,19 +92,48 @@ def _seen_points():
     return state, evidence, index
 
 
-def _points_cost(state, evidence, index, normals) -> float:
-    """The robust cost with each point's sample and its normal given."""
+def _points_cost(state, evidence, index, normals, *, gap_m2: float = 0.0) -> float:
+    """The robust cost with each point's sample and its normal given, less what the gaps between samples cost."""
     gap = (evidence.points - positions(state, wedge_primitive())[index])[:-1]
     squared = ((gap * normals).sum(axis=1)) ** 2 + 0.2 * (gap**2).sum(axis=1)
-    share = 150.0 / 20 / (0.0013**2 + 0.0009**2)
-    return float(0.5 * share * ((squared / (1 + squared / ROBUST_M**2)).sum() + ROBUST_M**2))
+    share, beside = 150.0 / 20 / (0.0013**2 + 0.0009**2), 0.2 * gap_m2
+    excess = squared - beside / (1 + beside / ROBUST_M**2)
+    return float(0.5 * share * ((excess / (1 + squared / ROBUST_M**2)).sum() + ROBUST_M**2))
 
 
 def test_points_pay_robustly_along_and_across_the_normal_and_one_without_a_partner_in_full():
     state, evidence, index = _seen_points()
     cost, _, _ = _term(state, evidence, POINTS, PRIORS)
     normals = face_normals(state, wedge_primitive())[index[:-1]]
-    assert cost == pytest.approx(_points_cost(state, evidence, index, normals), rel=1e-9)
+    model = shape_model(wedge_primitive(), POINTS.num_samples, POINTS.num_modes)
+    gap_m2 = StateSurface(StateBatch.of([state], model.num_modes), model).sample_gap_m2[0]
+    assert gap_m2 > 1e-6
+    assert cost == pytest.approx(_points_cost(state, evidence, index, normals, gap_m2=gap_m2), rel=1e-9)
+
+
+def test_a_surface_that_goes_on_beyond_what_was_seen_pays_no_more_than_one_that_ends_there():
+    """Points on two sides of a prism that ends just above them, goes on by half as much, or by as much again."""
+    block = trimesh.creation.box(bounds=[[-0.03, -0.025, 0], [0.03, 0.025, 0.1]])
+    prism = replace(
+        wedge_primitive(), vertices=block.vertices, faces=block.faces, modes=np.zeros((0, 8, 3)), regions=np.zeros(8)
+    )
+    rng = np.random.default_rng(0)
+    points = np.concatenate(
+        [
+            rng.uniform([-0.03, 0.025, 0.01], [0.03, 0.025, 0.09], (200, 3)),
+            rng.uniform([0.03, -0.025, 0.01], [0.03, 0.025, 0.09], (200, 3)),
+        ]
+    )
+    normals = np.repeat([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0]], 200, axis=0)
+    term = PointTerm(toy_evidence(points, normals, viewpoint=np.array([1.0, 1.0, 0.5])), 150.0, 0.0018, 0.05, 0.02)
+    model = shape_model(prism, 1500, 0)
+    states = [
+        wedge_state(R=np.eye(3), t=np.zeros(3), coefficients=np.zeros(0), log_scale=np.log([1.0, 1.0, tall]))
+        for tall in (1.0, 1.5, 2.0)
+    ]
+    costs, _ = evaluate_costs(StateBatch.of(states, 0), model, [term], 0.004)
+    assert np.ptp(costs) < 1.3  # more than 6 without regard to how far apart the samples are
+    assert np.abs(costs).max() < 1.5
 
 
 def test_the_residual_is_the_mean_distance_across_the_surface_of_the_nine_tenths_that_fit_best():

@@ -17,9 +17,14 @@ from typing import Protocol
 
 import numpy as np
 
+from gfp_grasp.meshes import triangle_normals
 from gfp_grasp.register.state import StateBatch, surface_samples
 from gfp_grasp.transforms import cross
 from gfp_grasp.types import GenericPrimitive
+
+# Mean squared distance of a surface's places from its nearest sample, times the samples an area: measured on eight
+# primitives with 400 to 1500 samples, 0.27 to 0.37.
+_SAMPLE_GAP = 0.3
 
 
 class ResidualTerm(Protocol):
@@ -41,6 +46,8 @@ class ShapeModel:
         point_modes: (m, 3, k) float32.
         edges: (m * 6,) m, two edges of the face of each sample.
         edge_modes: (k, m * 6).
+        face_areas: (m,) of the face of each sample, in any unit.
+        area_m2: Of the whole surface.
         scale_precision: (3, 3) of log scale.
         scale_sigma: (3,).
     """
@@ -51,6 +58,8 @@ class ShapeModel:
     point_modes: np.ndarray
     edges: np.ndarray
     edge_modes: np.ndarray
+    face_areas: np.ndarray
+    area_m2: float
     scale_precision: np.ndarray
     scale_sigma: np.ndarray
 
@@ -67,14 +76,19 @@ def shape_model(primitive: GenericPrimitive, num_samples: int, num_modes: int) -
         primitive = replace(primitive, modes=primitive.modes[:num_modes], explained=primitive.explained[:num_modes])
     samples = surface_samples(primitive, num_samples)
     corners = primitive.faces[samples.face]
+    areas = np.linalg.norm(triangle_normals(primitive.vertices[primitive.faces]), axis=1)
     covariance = primitive.log_scale_cov + 1e-4 * np.eye(3)
     return ShapeModel(
         primitive,
         samples.mean,
-        samples.modes.reshape(len(samples.modes), -1),
+        samples.modes.reshape(len(samples.modes), 3 * num_samples),
         np.ascontiguousarray(samples.modes.transpose(1, 2, 0), dtype=np.float32),
         (primitive.vertices[corners[:, 1:]] - primitive.vertices[corners[:, :1]]).ravel(),
-        (primitive.modes[:, corners[:, 1:]] - primitive.modes[:, corners[:, :1]]).reshape(len(primitive.modes), -1),
+        (primitive.modes[:, corners[:, 1:]] - primitive.modes[:, corners[:, :1]]).reshape(
+            len(primitive.modes), 6 * num_samples
+        ),
+        areas[samples.face],
+        0.5 * float(areas.sum()),
         np.linalg.inv(covariance),
         np.sqrt(np.diag(covariance)),
     )
@@ -110,6 +124,7 @@ class StateSurface:
         world: (s, m, 3) m.
         normals: (s, m, 3) unit, outward.
         linear: (s, 3, 3) from local to world, without the translation.
+        sample_gap_m2: (s,) m2, mean squared distance of the surface's places from their nearest samples.
     """
 
     def __init__(self, batch: StateBatch, model: ShapeModel) -> None:
@@ -121,7 +136,10 @@ class StateSurface:
         edges = (model.edges + batch.coefficients @ model.edge_modes).reshape(s, -1, 2, 3)
         # Normals transform by the inverse transpose of what moves the surface.
         normals = cross(edges[:, :, 0], edges[:, :, 1]) @ np.linalg.inv(self.linear)
-        self.normals = normals / (np.sqrt(np.einsum("smi,smi->sm", normals, normals))[..., None] + 1e-18)
+        lengths = np.sqrt(np.einsum("smi,smi->sm", normals, normals))
+        self.normals = normals / (lengths[..., None] + 1e-18)
+        growth = np.exp(batch.log_scale.sum(axis=1)) * (lengths / model.face_areas).mean(axis=1)
+        self.sample_gap_m2 = _SAMPLE_GAP * model.area_m2 / len(model.face_areas) * growth
 
     def along_body(self, state: np.ndarray, vectors: np.ndarray) -> np.ndarray:
         """Vectors (s', n, 3) of the world, float32, along the axes of the object in some states (s',)."""

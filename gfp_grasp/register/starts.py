@@ -20,6 +20,7 @@ _FLAT = 1.15  # width over height of the points from which on a lying body may b
 _POSSIBLE = 0.05  # probability of a way of resting from which on it is tried beside the likeliest
 _SURE = 0.8  # length of the proposed front from which on no other is tried
 _CUT = 0.5  # cosine from which on a side counts as cut off
+_MOST_SEEN = 0.85  # share of a side that is cut off; ours
 
 
 def make_starts(primitive: GenericPrimitive, evidence: LevelView, hypotheses: tuple[str, ...]) -> list[PoseShape]:
@@ -51,6 +52,8 @@ def proposed_starts(primitive: GenericPrimitive, evidence: LevelView, hypotheses
         return make_starts(primitive, evidence, hypotheses)
     likeliest = max(rests, key=lambda way: proposal.rests[way])
     possible = tuple(way for way in rests if way != likeliest and proposal.rests[way] > _POSSIBLE)
+    if evidence.cut is not None:  # the look takes what it sees for nearly all; the class knows how long it is
+        return make_starts(primitive, evidence, (likeliest, *possible))
     found = [_proposed(primitive, evidence, likeliest, yaw) for yaw in _proposed_yaws(primitive, proposal)]
     return found + (make_starts(primitive, evidence, possible) if possible else [])
 
@@ -262,7 +265,7 @@ def _complete_ends(
         (height, own_height, cut_up, scale_by_width),
         (width, own_width, cut_across, scale_by_height),
     ):
-        whole = max(high - low, own * scale)
+        whole = max((high - low) / _MOST_SEEN, own * scale)
         ends.append((high - whole if cut < -_CUT else low, low + whole if cut > _CUT else high))
     return ends[0], ends[1]
 

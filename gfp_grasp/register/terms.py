@@ -84,7 +84,10 @@ class PointTerm:
         weight = share * robust**2 * agrees
         sums.pull_points(index, gap, normals, weight, self.tangential)
         # The cost uses the same robust scale for every start; a point without a partner pays the most there is.
-        sums.cost += 0.5 * share * np.where(agrees, robust * squared, sums.robust_m**2).sum(axis=1)
+        # The wider a surface, the farther apart are its samples: no point pays for that.
+        beside = self.tangential * surface.sample_gap_m2[:, None]
+        excess = squared - beside / (1.0 + beside / sums.robust_m**2)
+        sums.cost += 0.5 * share * np.where(agrees, robust * excess, sums.robust_m**2).sum(axis=1)
         distance = np.sort(np.where(agrees, np.abs(across), np.linalg.norm(gap, axis=2)), axis=1)
         sums.residual_m = distance[:, : int(_TRIMMED_SHARE * gap.shape[1]) + 1].mean(axis=1)
 
