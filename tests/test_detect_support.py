@@ -130,6 +130,13 @@ def test_a_lid_that_its_pot_goes_on_below_is_no_table_and_one_beside_a_floor_is(
     table = find_support(np.vstack([lid, knob]), UP)
     assert table is not None
     assert table.height_m == pytest.approx(0.2, abs=1e-9)
+    # A shoulder about the lid, with three quarters of its points, is a body's where it is near.
+    side = _grid((0.115, -0.08), (0.145, 0.09))
+    shoulder = np.vstack(
+        [side + shift for shift in ([0, 0, 0], [0, 0, -0.02], [0, 0, -0.04], [-0.25, 0, 0], [-0.25, 0, -0.02])]
+    )
+    assert find_support(np.vstack([lid, knob, shoulder + 0.16 * UP]), UP) is None
+    assert find_support(np.vstack([lid, knob, shoulder - 0.2 * UP]), UP) is not None
     floor = _grid((0.11, -0.2), (0.25, 0.2)) - 0.5 * UP  # three quarters as many points as the lid has
     table = find_support(np.vstack([lid, knob, floor]), UP)
     assert table is not None
