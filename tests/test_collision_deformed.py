@@ -208,6 +208,8 @@ def test_a_binding_to_vertices_that_are_not_there_is_refused():
     far = PartBinding(np.array([[0, 1, len(CUP.vertices)]]), np.eye(3)[:1], np.zeros(1), np.ones(1), None)
     with pytest.raises(InvalidMesh, match=f"has vertex {len(CUP.vertices)}"):
         replace(TEMPLATE, binding=far)
+    with pytest.raises(InvalidMesh, match="the primitive 2: other parts need another binding"):
+        replace(with_binding(TEMPLATE), parts=TEMPLATE.parts[:2])
 
 
 def hull_of(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -200,6 +200,11 @@ class GenericPrimitive:
         freeze(self, "prototypes", prototypes)
         if self.binding is not None and self.binding.corners.max(initial=0) >= len(vertices):
             raise InvalidMesh(f"the binding has vertex {self.binding.corners.max()}; there are {len(vertices)}")
+        if self.binding is not None and len(self.binding.ends) > len(self.parts):
+            raise InvalidMesh(
+                f"the binding has {len(self.binding.ends)} parts, the primitive {len(self.parts)}: other parts need "
+                "another binding, or None"
+            )
         if self.spec is None:
             object.__setattr__(self, "spec", default_spec(self))
         elif self.spec.category != self.name:
