@@ -44,7 +44,8 @@ def part_is_seen(fit: FittedPrimitive, part: str, evidence: LevelView) -> bool:
 # which half is hidden it is at least 2.1, mostly above 9.
 _SUSPECT = 2.0
 _OCCLUSION = 8.0
-_OCCLUDED_COST = 8.0  # negative log odds of something that hides a part; ours
+# Negative log odds of something that hides a part, and the share of a poor fit's cost that may be chance; ours.
+_OCCLUDED_COST, _OCCLUDED_SHARE = 5.0, 0.13
 _MEASURED_BY = 5  # likeliest primitives, by whose size the lengths of all are measured
 _ROUND = 0.0031  # ellipticity of a round body, as made and as its modes show it, a share of the unit
 _ROUND_LOG_PRIOR = 3.0  # log odds of a round body beside its share of the members; ours
@@ -126,7 +127,7 @@ def _behind_something(
             other = search_starts(cut, candidates, config)
         except FitDiverged:
             continue
-        if other.cost + _OCCLUDED_COST < found.cost:
+        if other.cost + max(_OCCLUDED_COST, _OCCLUDED_SHARE * found.cost) < found.cost:
             found, evidence = other, cut
     return found, evidence
 
