@@ -5,12 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.spatial import KDTree
+from scipy.spatial.transform import Rotation
 from toy_wedge import camera_at, positions, toy_evidence, wedge_primitive, wedge_state
 
 from gfp_grasp.clouds import estimate_normals, thin
 from gfp_grasp.level import make_level_view
 from gfp_grasp.register import part_is_seen
-from gfp_grasp.register.occlusion import cut_off
+from gfp_grasp.register.occlusion import behind_occluder, cut_off
 from gfp_grasp.register.state import surface_samples
 from gfp_grasp.transforms import apply_T, invert_T, make_T, rotation_between
 from gfp_grasp.types import (
@@ -276,6 +277,36 @@ def test_the_straight_edge_of_what_hides_the_top_is_found_with_its_side():
     just_beyond = evidence.points + (0.004 - along)[:, None] * normal
     assert len(evidence.silhouette.free_space_violation(just_beyond)[0]) > 50
     assert len(hidden.silhouette.free_space_violation(just_beyond)[0]) < 5
+
+
+@pytest.mark.parametrize(
+    ("columns", "depth_m", "hides"), [((10, 60), 0.5, True), ((10, 33), 0.5, True), ((10, 30), 0.5, False),
+                                      ((10, 60), 1.0, False), ((10, 60), 0.0, False), ((10, 60), 0.799, False)]
+)  # fmt: skip
+def test_what_a_view_shows_nearer_along_one_end_hides_how_the_object_goes_on(columns, depth_m, hides):
+    depth, mask = np.full((48, 64), 1.2, dtype=np.float32), np.zeros((48, 64), dtype=bool)
+    mask[20:40, 25:41] = True
+    depth[mask] = 0.8
+    depth[8:20, slice(*columns)] = depth_m
+    K = np.array([[60.0, 0, 30], [0, 70, 19], [0, 0, 1]])
+    view = DepthImage(depth, K, make_T(Rotation.from_rotvec([0.3, -0.2, 0.5]).as_matrix(), (0.1, 0.2, 0.3)))
+    detection = replace(_detection(view.points()[mask], view.viewpoint), view=view, mask=mask)
+    evidence = make_level_view(detection)
+    found = behind_occluder(evidence)
+    if not hides:
+        assert found is evidence
+        return
+    assert found.cut is not None
+    assert evidence.silhouette is not None
+    upward = np.array([0.0, -70.0, 1.0])  # the row of the object's first pixels is one below the middle of the picture
+    R = evidence.silhouette.view.moved(np.eye(4)).T_world_camera[:3, :3]  # pyright: ignore[reportAttributeAccessIssue]
+    np.testing.assert_allclose(found.cut, R @ upward / np.linalg.norm(upward), atol=1e-9)
+    beside = mask.copy()
+    beside[:8] = True  # the object goes on beyond what stands before it
+    depth[:8, 25:41] = 0.8
+    apart = replace(detection, view=replace(view, depth_m=depth), mask=beside & (depth == np.float32(0.8)))
+    whole = make_level_view(apart)
+    assert behind_occluder(whole) is whole
 
 
 def test_without_a_straight_edge_nothing_is_known_beyond_what_faces_the_viewpoint():

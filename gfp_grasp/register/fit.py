@@ -11,7 +11,7 @@ from scipy.spatial import KDTree
 from gfp_grasp.errors import FitDiverged
 from gfp_grasp.level import make_level_view
 from gfp_grasp.register.config import FitConfig
-from gfp_grasp.register.occlusion import blocking_cost, cut_off
+from gfp_grasp.register.occlusion import behind_occluder, blocking_cost, cut_off
 from gfp_grasp.register.pruning import Search, search_starts, total_cost
 from gfp_grasp.register.refine import evaluate_free_space, refine
 from gfp_grasp.register.state import PoseShape, surface_samples
@@ -88,6 +88,8 @@ def fit_best(
     # One unit for all of them: costs of primitives can be compared only where they take the same misfit for likely.
     likeliest = sorted(candidates, key=lambda candidate: candidate[1])[:_MEASURED_BY]
     config = config.with_unit(float(np.median([primitive.size_m for primitive, _ in likeliest])))
+    if config.occlusion and evidence.silhouette is not None and evidence.silhouette.certain:
+        evidence = behind_occluder(evidence)
     found = search_starts(evidence, candidates, config)
     if config.occlusion and config.refine:
         found, evidence = _behind_something(found, evidence, candidates, config)

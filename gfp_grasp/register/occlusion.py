@@ -31,6 +31,10 @@ _ON_LINE_PX = 1.5
 _BEYOND = 0.02  # share of the outline that may lie beyond a straight edge, for noise
 _FACING_SHARE = 0.6  # share of the outline on a straight edge that must face the viewpoint
 _CONTACT = 0.4  # share of the outline's extent along a straight edge that lies on it
+_LEAST_EDGE_PX = 8  # pixels beside the object that see something nearer
+_BEYOND_OCCLUDER = (
+    0.1  # share of the object's pixels that may lie beyond an end that is hidden, as its edge is not straight
+)
 _LOWEST = 0.04  # share of the points that count as the lowest seen
 
 
@@ -65,14 +69,47 @@ def cut_off(evidence: LevelView, *, straight: bool = True) -> LevelView:
     answer = replace(evidence, silhouette=replace(silhouette, free_range_m=free_range))
     if line is None:
         return answer
-    (down, right), offset = line
-    view = silhouette.view
-    assert isinstance(view, DepthImage)  # as every silhouette is that is guessed from points
-    cut = np.array([right, down, -offset]) @ view.K @ view.T_world_camera[:3, :3].T
-    cut /= np.linalg.norm(cut)
+    assert isinstance(silhouette.view, DepthImage)  # as every silhouette is that is guessed from points
+    cut = _plane_of(line, silhouette.view)
     hides_foot = not evidence.floor_seen and _foot_is_on(line, seen, evidence)
     above, below = evidence.floor_sigma_m
     return replace(answer, cut=cut, floor_sigma_m=(above, np.inf if hides_foot else below))
+
+
+def behind_occluder(evidence: LevelView) -> LevelView:
+    """The evidence with its `cut`, where the view shows something nearer along one end of the object; else itself.
+
+    Args:
+        evidence: With a silhouette of a real view.
+    """
+    silhouette = evidence.silhouette
+    assert silhouette is not None
+    if not isinstance(silhouette.view, DepthImage):
+        return evidence
+    own = ~silhouette.offset_px.any(axis=0)
+    beside = np.argwhere(np.logical_and(ndimage.binary_dilation(own, np.ones((3, 3))), ~own))
+    nearest = beside + silhouette.offset_px[:, beside[:, 0], beside[:, 1]].T.astype(np.int64)
+    ranges_m = silhouette.view.free_range_m
+    there_m = ranges_m[beside[:, 0], beside[:, 1]]
+    nearer = (there_m > 0) & (there_m < ranges_m[nearest[:, 0], nearest[:, 1]] - silhouette.margin_m)
+    if nearer.sum() < _LEAST_EDGE_PX:
+        return evidence
+    edge, body = nearest[nearer].astype(np.float64), np.argwhere(own)
+    across, normal = np.linalg.eigh(np.cov(edge.T))[1].T[::-1]
+    normal = normal * (np.sign(normal @ (edge.mean(axis=0) - body.mean(axis=0))) or 1.0)
+    offset = float(np.median(edge @ normal))
+    beyond = (body @ normal > offset + _ON_LINE_PX).mean()
+    stretch = np.ptp(np.quantile(edge @ across, [0.02, 0.98]))
+    if beyond > _BEYOND_OCCLUDER or stretch < _CONTACT * np.ptp(body @ across):
+        return evidence
+    return replace(evidence, cut=_plane_of((normal, offset), silhouette.view))
+
+
+def _plane_of(line: tuple[np.ndarray, float], view: DepthImage) -> np.ndarray:
+    """Normal (3,) of the plane through the viewpoint and a line of the picture, by its outward normal and offset."""
+    (down, right), offset = line
+    cut = np.array([right, down, -offset]) @ view.K @ view.T_world_camera[:3, :3].T
+    return cut / np.linalg.norm(cut)
 
 
 def _outline(silhouette: Silhouette) -> np.ndarray:
