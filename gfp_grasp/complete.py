@@ -30,8 +30,8 @@ from gfp_grasp.meshes import crossing_faces
 from gfp_grasp.parallel import one_thread
 from gfp_grasp.plugins import DEFAULT_DETECTOR
 from gfp_grasp.primitives import PrimitiveLibrary
-from gfp_grasp.recognition import SURE_SCORE, candidate_primitives, likeliest, recognise, sureness
-from gfp_grasp.register import FitConfig, fit_best, part_is_seen
+from gfp_grasp.recognition import SURE_SCORE, fit_likeliest, likeliest, recognise, sureness
+from gfp_grasp.register import FitConfig, part_is_seen
 from gfp_grasp.transforms import apply_T, invert_T
 from gfp_grasp.types import (
     KEEP_RULES,
@@ -45,12 +45,6 @@ from gfp_grasp.types import (
     View,
     get_sensor,
 )
-
-# No right class of 60 unhidden views of the validation split is fitted at a greater cost; of bottles of which half is
-# hidden every second one is, and of things that fell those whose class was not among the likely ones.
-_POOR_COST = 60.0
-_UNLIKELY = 0.05  # where the fit is poor, classes of this share of the score that counted as likely are fitted too,
-_MOST_CANDIDATES = 12  # but no more primitives than this
 
 
 @dataclass(frozen=True)
@@ -267,7 +261,15 @@ def _complete(
     # Everything below runs in a frame tied to the object and the viewer, so that the answer moves with its input.
     view = make_level_view(detection, seed=seed)
     clock.lap("level")
-    fit = _best_fit(view, detection, config)
+    fit = fit_likeliest(
+        view,
+        detection,
+        config.library,
+        config=config.fit,
+        rival_share=config.rival_share,
+        subcategories=config.subcategories,
+    )
+    fit = _with_parts_seen(fit, view, config.optional_parts)
     clock.lap("register")
     deformed = deform(fit, view, config=config.deform)
     if deformed.kept < 1 or config.deform.method == "none":
@@ -289,31 +291,6 @@ def _complete(
         timings_s=clock.laps,
     )
     return Completion(shape, move_detection(detection, T_world_found), collision_config=config.collision)
-
-
-def _best_fit(view: LevelView, detection: Detection, config: CompleteConfig) -> FittedPrimitive:
-    """The best fit of the likely classes; of unlikely ones as well where none of those fits."""
-    best, failure, tried = None, None, 0
-    for share in (config.rival_share, _UNLIKELY * config.rival_share):
-        candidates = candidate_primitives(
-            detection, config.library, rival_share=share, subcategories=config.subcategories
-        )[:_MOST_CANDIDATES]
-        if len(candidates) == tried:
-            break
-        tried = len(candidates)
-        try:
-            fit = fit_best(view, candidates, config=config.fit)
-        except FitDiverged as error:
-            failure = error
-            continue
-        if best is None or fit.cost < best.cost:
-            best = fit
-        if best.cost < _POOR_COST:
-            break
-    if best is None:
-        assert failure is not None
-        raise failure
-    return _with_parts_seen(best, view, config.optional_parts)
 
 
 def _with_parts_seen(fit: FittedPrimitive, view: LevelView, rule: str) -> FittedPrimitive:

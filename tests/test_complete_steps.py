@@ -180,8 +180,8 @@ class Chain:
         self.recognise = recorded(patch, "gfp_grasp.complete.recognise", self.detection)
         recorded(patch, "gfp_grasp.complete.sureness", sure)
         self.look = recorded(patch, "gfp_grasp.complete.make_level_view", self.view)
-        self.candidates = recorded(patch, "gfp_grasp.complete.candidate_primitives", "candidates")
-        self.register = recorded(patch, "gfp_grasp.complete.fit_best", self.fit)
+        self.candidates = recorded(patch, "gfp_grasp.recognition.candidate_primitives", "candidates")
+        self.register = recorded(patch, "gfp_grasp.recognition.fit_best", self.fit)
         self.deform = recorded(patch, "gfp_grasp.complete.deform", self.deformed)
         self.mark = recorded(patch, "gfp_grasp.complete.mark_observed", (self.observed, self.sigma_m))
 
@@ -246,42 +246,6 @@ def test_what_no_known_class_is_likely_for_is_completed_with_a_warning(
     told = [str(warning.message) for warning in caught]
     words = "no known class is likely (mug 0.51, cup 0.49); the best is completed all the same"
     assert told == [words] * warned
-
-
-@pytest.mark.parametrize(
-    ("costs", "numbers", "answer"),
-    [
-        ([59.0], [3], 59.0),
-        ([61.0, 30.0], [3, 12], 30.0),
-        ([61.0, 70.0], [3, 12], 61.0),
-        ([None, 70.0], [3, 12], 70.0),
-        ([61.0, None], [3, 12], 61.0),
-    ],
-)
-def test_where_no_likely_class_fits_unlikely_ones_are_tried(costs, numbers, answer, monkeypatch) -> None:
-    asked = []
-
-    def candidates(detection, library, *, rival_share, subcategories):
-        return list(range({0.2: 3, 0.01: 30}[round(rival_share, 9)]))
-
-    def fit_best(view, candidates, *, config):
-        cost = costs[len(asked)]
-        asked.append(len(candidates))
-        if cost is None:
-            raise FitDiverged("none fits")
-        return SimpleNamespace(cost=cost, primitive=SimpleNamespace(spec=SimpleNamespace(optional_parts=())))
-
-    monkeypatch.setattr(room, "candidate_primitives", candidates)
-    monkeypatch.setattr(room, "fit_best", fit_best)
-    monkeypatch.setattr(room, "_with_parts_seen", lambda fit, *_: fit)
-    found = room._best_fit("view", "detection", CompleteConfig(rival_share=0.2))  # pyright: ignore[reportArgumentType]
-    assert (found.cost, asked) == (answer, numbers)
-    monkeypatch.setattr(room, "candidate_primitives", lambda *_, **__: [0])
-    costs = [None]
-    asked.clear()
-    with pytest.raises(FitDiverged, match="none fits"):  # and the same candidates are not tried again
-        room._best_fit("view", "detection", CompleteConfig())  # pyright: ignore[reportArgumentType]
-    assert asked == [1]
 
 
 def part(name: str, keep: str) -> Any:

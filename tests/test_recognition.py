@@ -2,14 +2,24 @@
 
 from dataclasses import replace
 from types import SimpleNamespace
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 import pytest
 from recorded_calls import recorded
 from toy_completions import toy_completion
 
-from gfp_grasp.recognition import SURE_SCORE, candidate_primitives, likeliest, recognise, sureness
+from gfp_grasp import recognition
+from gfp_grasp.errors import FitDiverged
+from gfp_grasp.recognition import (
+    SURE_SCORE,
+    candidate_primitives,
+    fit_likeliest,
+    likeliest,
+    recognise,
+    sureness,
+)
+from gfp_grasp.register import FitConfig
 from gfp_grasp.types import OrientedBox, Proposal
 
 PROPOSAL = Proposal(
@@ -119,3 +129,41 @@ def test_the_likeliest_classes_come_highest_first():
     scores = {"bottle": 0.1, "cup": 0.6, "mug": 0.3}
     assert likeliest(scores, 2) == [("cup", 0.6), ("mug", 0.3)]
     assert likeliest(scores, 5) == [("cup", 0.6), ("mug", 0.3), ("bottle", 0.1)]
+
+
+@pytest.mark.parametrize(
+    ("costs", "numbers", "answer"),
+    [
+        ([59.0], [3], 59.0),
+        ([61.0, 30.0], [3, 12], 30.0),
+        ([61.0, 70.0], [3, 12], 61.0),
+        ([None, 70.0], [3, 12], 70.0),
+        ([61.0, None], [3, 12], 61.0),
+    ],
+)
+def test_where_no_likely_class_fits_unlikely_ones_are_tried(costs, numbers, answer, monkeypatch) -> None:
+    asked = []
+
+    def some(detection, library, *, rival_share, subcategories):
+        return list(range({0.2: 3, 0.01: 30}[round(rival_share, 9)]))
+
+    def fit_best(view, candidates, *, config):
+        cost = costs[len(asked)]
+        asked.append(len(candidates))
+        if cost is None:
+            raise FitDiverged("none fits")
+        return SimpleNamespace(cost=cost)
+
+    def ask() -> Any:
+        return fit_likeliest(view, detection, library, config=FitConfig(), rival_share=0.2, subcategories=False)
+
+    view, detection, library = cast(Any, "view"), cast(Any, "detection"), cast(Any, "library")
+    monkeypatch.setattr(recognition, "candidate_primitives", some)
+    monkeypatch.setattr(recognition, "fit_best", fit_best)
+    assert (ask().cost, asked) == (answer, numbers)
+    monkeypatch.setattr(recognition, "candidate_primitives", lambda *_, **__: [0])
+    costs = [None]
+    asked.clear()
+    with pytest.raises(FitDiverged, match="none fits"):  # and the same candidates are not tried again
+        ask()
+    assert asked == [1]

@@ -161,7 +161,9 @@ def _gap_m(primitive: GenericPrimitive) -> np.ndarray | None:
 
 
 def with_binding(primitive: GenericPrimitive) -> GenericPrimitive:
-    """A primitive with parts, with the binding of the level that is taken by default; its variants stay as they are."""
+    """A primitive, if it has parts, with the binding of the level taken by default; its variants stay as they are."""
+    if not primitive.parts:
+        return replace(primitive, binding=None)
     (level,) = _levels(primitive, primitive.vertices, CollisionConfig())
     return replace(primitive, binding=bind_parts(primitive, level, gap_m=_gap_m(primitive)))
 
