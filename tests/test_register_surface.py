@@ -1,5 +1,7 @@
 """Samples of a wedge in two states: how a step moves them, along the object's own axes; and which faces look back."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import trimesh
@@ -10,7 +12,8 @@ from gfp_grasp.camera import cast_rays
 from gfp_grasp.meshes import triangle_normals
 from gfp_grasp.register.occlusion import _faces_toward
 from gfp_grasp.register.posterior import NormalEquations, StateSurface, shape_model
-from gfp_grasp.register.state import StateBatch
+from gfp_grasp.register.state import StateBatch, surface_samples
+from gfp_grasp.types import INSIDE
 
 STATES = (
     wedge_state(),
@@ -51,6 +54,12 @@ def test_the_gap_between_samples_goes_with_the_area():
     ]
     assert made.sample_gap_m2[:2] == pytest.approx(0.3 * np.array(areas[:2]) / NUM_SAMPLES, rel=1e-9)
     assert made.sample_gap_m2[2] == pytest.approx(0.3 * areas[2] / NUM_SAMPLES, rel=0.02)
+    inside = wedge.vertices[:, 2] > 0.03
+    hollow = replace(wedge, regions=np.where(inside, INSIDE, 0))
+    outer = ~inside[wedge.faces[surface_samples(wedge, NUM_SAMPLES).face]].all(axis=1)
+    found = StateSurface(StateBatch.of(states[:1], NUM_MODES), shape_model(hollow, NUM_SAMPLES, NUM_MODES))
+    assert 0.1 < outer.mean() < 0.9
+    assert found.sample_gap_m2[0] == pytest.approx(outer.mean() * made.sample_gap_m2[0], rel=1e-9)
 
 
 def test_vectors_are_told_along_the_axes_of_their_states_object():

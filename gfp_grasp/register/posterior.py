@@ -20,7 +20,7 @@ import numpy as np
 from gfp_grasp.meshes import triangle_normals
 from gfp_grasp.register.state import StateBatch, surface_samples
 from gfp_grasp.transforms import cross
-from gfp_grasp.types import GenericPrimitive
+from gfp_grasp.types import INSIDE, GenericPrimitive
 
 # Mean squared distance of a surface's places from its nearest sample, times the samples an area: measured on eight
 # primitives with 400 to 1500 samples, 0.27 to 0.37.
@@ -46,7 +46,7 @@ class ShapeModel:
         point_modes: (m, 3, k) float32.
         edges: (m * 6,) m, two edges of the face of each sample.
         edge_modes: (k, m * 6).
-        face_areas: (m,) of the face of each sample, in any unit.
+        outer: (m,) one over the area of the face of each sample on the outside, in any unit; 0 for those inside.
         area_m2: Of the whole surface.
         scale_precision: (3, 3) of log scale.
         scale_sigma: (3,).
@@ -58,7 +58,7 @@ class ShapeModel:
     point_modes: np.ndarray
     edges: np.ndarray
     edge_modes: np.ndarray
-    face_areas: np.ndarray
+    outer: np.ndarray
     area_m2: float
     scale_precision: np.ndarray
     scale_sigma: np.ndarray
@@ -87,7 +87,7 @@ def shape_model(primitive: GenericPrimitive, num_samples: int, num_modes: int) -
         (primitive.modes[:, corners[:, 1:]] - primitive.modes[:, corners[:, :1]]).reshape(
             len(primitive.modes), 6 * num_samples
         ),
-        areas[samples.face],
+        np.where((primitive.regions[corners] == INSIDE).all(axis=1), 0.0, 1.0 / np.maximum(areas[samples.face], 1e-12)),
         0.5 * float(areas.sum()),
         np.linalg.inv(covariance),
         np.sqrt(np.diag(covariance)),
@@ -124,7 +124,8 @@ class StateSurface:
         world: (s, m, 3) m.
         normals: (s, m, 3) unit, outward.
         linear: (s, 3, 3) from local to world, without the translation.
-        sample_gap_m2: (s,) m2, mean squared distance of the surface's places from their nearest samples.
+        sample_gap_m2: (s,) m2, mean squared distance of the surface's places from their nearest samples, as far as the
+            outside makes it; that of the inside counts against a hollow body where a solid one explains as much.
     """
 
     def __init__(self, batch: StateBatch, model: ShapeModel) -> None:
@@ -138,8 +139,8 @@ class StateSurface:
         normals = cross(edges[:, :, 0], edges[:, :, 1]) @ np.linalg.inv(self.linear)
         lengths = np.sqrt(np.einsum("smi,smi->sm", normals, normals))
         self.normals = normals / (lengths[..., None] + 1e-18)
-        growth = np.exp(batch.log_scale.sum(axis=1)) * (lengths / model.face_areas).mean(axis=1)
-        self.sample_gap_m2 = _SAMPLE_GAP * model.area_m2 / len(model.face_areas) * growth
+        growth = np.exp(batch.log_scale.sum(axis=1)) * (lengths * model.outer).mean(axis=1)
+        self.sample_gap_m2 = _SAMPLE_GAP * model.area_m2 / len(model.outer) * growth
 
     def along_body(self, state: np.ndarray, vectors: np.ndarray) -> np.ndarray:
         """Vectors (s', n, 3) of the world, float32, along the axes of the object in some states (s',)."""
