@@ -12,7 +12,7 @@ from scipy import ndimage
 
 from gfp_grasp.types import LevelView, Silhouette, pixels_of
 
-MOST_CELLS = 64**3
+MOST_CELLS = 56**3
 NUM_CHANNELS = 5
 MULTIPLE = 8  # of cells along each axis: the network halves them thrice
 REACH = 5.0  # cells: distances from a surface are not told apart beyond
@@ -22,8 +22,8 @@ _RAMP = 4.0  # cells over which what is said of rays and of the support grows fr
 # farther than 0.12 to a side, and none farther than 0.43 behind.
 _ASIDE, _BEHIND = 0.12, 0.43
 _BELOW = 0.2  # where no support was seen
-_HIDDEN = 0.5  # where an occluder stands before it
-_HIDDEN_SHARE = 0.25  # of the places beside the points that something nearer hides
+_HIDDEN = 0.5  # where an occluder stands before it, or the picture ends
+_HIDDEN_SHARE = 0.25  # of the places beside the points that nobody could see
 _OUTLIERS = 0.005  # share of the points, at either end, that pixels which fly off an edge may be
 _LEAST_CELLS = 16
 _UNDER = 2.0  # cells below a support that was seen
@@ -90,18 +90,20 @@ def grid_around(view: LevelView) -> Grid:
 
 
 def _hidden_sides(low: np.ndarray, high: np.ndarray, longest: float, silhouette: Silhouette) -> np.ndarray:
-    """(2, 3) bool, whether something nearer hides what may be beside a box, towards the lower and the upper end."""
-    t = np.linspace(0.0, 1.0, 6)
+    """(2, 3) bool, whether a box may go on, where nobody could see it, beyond its lower and its upper end."""
     hidden = np.zeros((2, 3), dtype=bool)
     if not silhouette.certain:
         return hidden
+    within = np.linspace(low, high, 6).T
+    beyond = np.linspace(0.02, 0.3, 6) * longest
     for end, axis in ((0, 1), (1, 1), (0, 2), (1, 2)):
-        places = low + np.stack(np.meshgrid(t, t, t, indexing="ij"), axis=-1).reshape(-1, 3) * (high - low)
-        beyond = np.linspace(0.02, 0.3, 6) * longest
-        places[:, axis] = low[axis] - np.tile(beyond, 36) if end == 0 else high[axis] + np.tile(beyond, 36)
+        axes = list(within)
+        axes[axis] = low[axis] - beyond if end == 0 else high[axis] + beyond
+        places = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 3)
         _, flat, _, range_m = pixels_of(places, silhouette.view)
         free = silhouette.free_range_m.ravel()[flat]
-        hidden[end, axis] = bool(((free > 0) & (free < range_m - silhouette.margin_m)).sum() > _HIDDEN_SHARE * 216)
+        nearer = (free > 0) & (free < range_m - silhouette.margin_m)
+        hidden[end, axis] = nearer.sum() + len(places) - len(flat) > _HIDDEN_SHARE * len(places)
     return hidden
 
 
