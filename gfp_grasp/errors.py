@@ -29,6 +29,10 @@ class FitDiverged(GfpGraspError):
     """No start of the registration reached a plausible fit."""
 
 
+class NoSurface(GfpGraspError):
+    """The class-free completion finds nothing solid around the points."""
+
+
 class InvalidMesh(GfpGraspError, ValueError):
     """A mesh is empty, flat, not finite, badly indexed or not closed where it must be."""
 

@@ -10,7 +10,7 @@ import torch
 from recorded_calls import recorded, rows_of, run
 
 from gfp_grasp.primitives import BuildConfig, PrimitiveLibrary
-from gfp_grasp.train import GFPNET_CONFIGS, PCRNET_CONFIG, ProposalConfig
+from gfp_grasp.train import GFPNET_CONFIGS, PCRNET_CONFIG, ClassfreeConfig, ProposalConfig
 
 MADE = SimpleNamespace(vertices=[0] * 5, modes=[0] * 2, parts=[0] * 3, part_errors_m=((1, 1), (0.00123, 0.0046)))
 
@@ -225,4 +225,22 @@ def test_training_of_the_deformation_network_hands_on_every_option(
         (("patch",), {**DEFAULTS, "config": default, "workers": 1}),
     ]
     assert bars == [("gfpnet paper-oneshot", 7), ("gfpnet patch", default.steps)]
+    assert capsys.readouterr().out == "[b]card.json\n[b]card.json\n"
+
+
+def test_training_of_the_class_free_completion_hands_on_every_option(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], bars: list[tuple[str, int]]
+) -> None:
+    train = recorded(monkeypatch, "gfp_grasp.train.train_classfree", Path("[b]card.json"))
+    words = "--without cup,,mug --file own.safetensors --steps 7 --members 3 --mixtures 6 --runs elsewhere"
+    assert run(f"train classfree {words} --device cuda --workers 2 --seed 5") == 0
+    assert run("train classfree") == 0
+    config = ClassfreeConfig(seed=5, device="cuda", steps=7, members=3, mixtures=6)
+    given = {"without": ("cup", "mug"), "out": Path("own.safetensors"), "runs": Path("elsewhere"), "workers": 2}
+    default = {"without": (), "out": None, "runs": Path("runs"), "workers": 1}
+    assert train.calls == [
+        ((), {**given, "config": config, "report": "report"}),
+        ((), {**default, "config": ClassfreeConfig(), "report": "report"}),
+    ]
+    assert bars == [("classfree", 7), ("classfree", ClassfreeConfig().steps)]
     assert capsys.readouterr().out == "[b]card.json\n[b]card.json\n"

@@ -212,6 +212,7 @@ def test_less_than_a_part_of_four_corners_is_refused(options):
         {"tolerance_m": 0},
         {"tolerance_m": float("nan")},
         {"tolerance_m": "1"},
+        {"engine": "vhacd"},
     ],
 )
 def test_nonsense_budgets_are_refused_by_name(options):

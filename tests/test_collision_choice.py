@@ -12,7 +12,8 @@ from test_collision_deformed import TEMPLATE, completed
 from gfp_grasp.collision import CollisionConfig, choice, collision_of
 from gfp_grasp.collision.choice import _decomposed_or, _is_true, _levels
 from gfp_grasp.collision.convex import convex_part
-from gfp_grasp.types import CollisionMesh, GenericPrimitive
+from gfp_grasp.collision.parts import volume_m3
+from gfp_grasp.types import CollisionMesh, CompletedShape, GenericPrimitive
 
 L = l_shape()
 DIAGONAL_M = float(np.linalg.norm([0.1, 0.06, 0.02]))
@@ -143,3 +144,25 @@ def test_notes_tell_the_level_what_was_dropped_and_the_room_that_is_left():
     more = replace(TEMPLATE, parts=(*TEMPLATE.parts, crumb))
     parts = collision_of(completed(trimesh.Trimesh(more.vertices, more.faces, process=False), more))
     assert (parts.notes["level"], parts.notes["dropped"]) == (6, 1)
+
+
+def test_cuts_are_made_where_they_are_asked_for_and_coacd_is_not(monkeypatch):
+    def never(*_, **__):
+        raise AssertionError("CoACD ran")
+
+    monkeypatch.setattr(choice, "decompose", never)
+    shape = CompletedShape(L, np.zeros(len(L.vertices), bool), np.zeros(len(L.vertices)))
+    found = collision_of(shape, config=CollisionConfig(engine="cuts"))
+    assert found.made_by == "cuts"
+    assert sum(volume_m3(part) for part in found.parts) == pytest.approx(L.volume, rel=0.03)
+    with pytest.raises(AssertionError, match="CoACD ran"):
+        collision_of(shape)
+
+
+def test_cuts_that_miss_the_mesh_say_by_how_much(monkeypatch):
+    far = found("cuts", (0.02 * DIAGONAL_M, 0.05 * DIAGONAL_M, 0.1))
+    monkeypatch.setattr(choice, "quick_parts", lambda mesh, config: far)
+    shape = CompletedShape(L, np.zeros(len(L.vertices), bool), np.zeros(len(L.vertices)))
+    with pytest.warns(RuntimeWarning, match="2 parts by plane cuts miss the mesh by 2.4 mm"):
+        told = collision_of(shape, config=CollisionConfig(engine="cuts"))
+    assert "5.9 mm for 95 %" in str(told.notes["warning"])

@@ -5,11 +5,12 @@ import pytest
 import trimesh
 from bodies import AWAY, WEDGE, WEDGE_M3, l_parts, l_shape, trough
 
-from gfp_grasp.collision import cut_parts, within_parts
+from gfp_grasp.collision import CollisionConfig, cut_parts, quick_parts, union_error_m, within_parts
 from gfp_grasp.collision.convex import convex_part
 from gfp_grasp.collision.cutting import _measured, _solid
 from gfp_grasp.collision.parts import volume_m3
 from gfp_grasp.errors import InvalidMesh
+from gfp_grasp.meshes import surface_net
 
 TROUGH, WALLS = trough()
 
@@ -81,3 +82,58 @@ def test_what_is_no_volume_is_refused():
     assert part is not None
     (only,) = cut_parts(part.to_trimesh()).parts
     assert volume_m3(only) == pytest.approx(WEDGE_M3, rel=1e-4)
+
+
+def _dense_trough(cell_m: float = 0.0015) -> trimesh.Trimesh:
+    """The trough as a completion without a class has it: thousands of small faces, of a grid."""
+    low, high = TROUGH.bounds
+    origin = low - 3.3 * cell_m
+    shape = tuple(np.ceil((high - low) / cell_m).astype(int) + 7)
+    places = origin + cell_m * np.moveaxis(np.indices(shape), 0, -1).reshape(-1, 3)
+    distance = trimesh.proximity.signed_distance(TROUGH, places)
+    return surface_net(-distance.reshape(shape), origin=origin, cell_m=cell_m)
+
+
+def test_quick_parts_of_a_dense_trough_leave_it_hollow_and_state_their_error():
+    mesh = _dense_trough()
+    assert len(mesh.faces) > 5000
+    found = quick_parts(mesh)
+    assert found.made_by == "cuts"
+    assert 5 <= len(found.parts) <= 24
+    middle = np.array([[x, y, z] for x in (0.015, 0.045) for y in (0.015, 0.025) for z in (0.012, 0.045)])
+    assert not within_parts(middle, found.parts).any()
+    diagonal = float(np.linalg.norm(mesh.extents))
+    assert found.error_m[0] < 0.006 * diagonal
+    fine = union_error_m(found.parts, mesh, count=4000, rng=np.random.default_rng(1))
+    assert found.error_m[0] == pytest.approx(fine[0], rel=0.2)
+    assert found.error_m[1] == pytest.approx(fine[1], rel=0.5)
+    assert found.notes["volume_ratio"] == pytest.approx(
+        sum(volume_m3(part) for part in found.parts) / mesh.volume, rel=1e-6
+    )
+    again = quick_parts(mesh)
+    for one, other in zip(found.parts, again.parts, strict=True):
+        np.testing.assert_array_equal(one.vertices, other.vertices)
+
+
+def test_quick_parts_keep_their_budget_even_of_many_bodies():
+    boxes = [trimesh.creation.box(bounds=[[x, y, 0], [x + 0.01, y + 0.013, 0.02]]) for x in np.arange(6) * 0.02
+             for y in np.arange(5) * 0.02]  # fmt: skip
+    crowd = trimesh.util.concatenate(boxes)
+    assert isinstance(crowd, trimesh.Trimesh)
+    assert len(quick_parts(crowd).parts) == 24
+    few = quick_parts(crowd, config=CollisionConfig(max_parts=7, max_vertices_per_part=6))
+    assert len(few.parts) == 7
+    assert max(len(part.vertices) for part in few.parts) <= 6
+    assert within_parts(crowd.vertices, quick_parts(crowd).parts, margin_m=1e-5).any(axis=1).all()
+
+
+def test_a_tolerance_is_the_concavity_that_quick_parts_leave():
+    loose, tight = (quick_parts(TROUGH, config=CollisionConfig(tolerance_m=m)) for m in (0.02, 0.002))
+    assert len(loose.parts) < len(tight.parts)
+    assert tight.notes["concavity_m"] <= 0.002  # pyright: ignore[reportOperatorIssue]
+    assert tight.error_m[0] < loose.error_m[0]
+
+
+def test_quick_parts_of_what_is_no_volume_are_refused():
+    with pytest.raises(InvalidMesh, match="make_solid"):
+        quick_parts(trimesh.Trimesh(TROUGH.vertices, TROUGH.faces[1:], process=False))

@@ -67,7 +67,12 @@ def test_options_of_coacd_are_its_own_by_default() -> None:
         "vhacd_resolution": 400_000,
         "cache": True,
     }
-    assert asdict(CollisionConfig()) == {"max_parts": 80, "max_vertices_per_part": None, "tolerance_m": None}
+    assert asdict(CollisionConfig()) == {
+        "max_parts": 80,
+        "max_vertices_per_part": None,
+        "tolerance_m": None,
+        "engine": "coacd",
+    }
 
 
 @pytest.mark.parametrize("count", [300, 2000])

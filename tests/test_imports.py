@@ -17,7 +17,7 @@ PACKAGE = ROOT / "gfp_grasp"
 ROWS = (
     ("errors", "types", "assets", "transforms", "parallel", "journal", "plugins", "units"),
     ("camera", "clouds", "meshes", "metrics", "shapes", "collision"),
-    ("arguments", "level", "recognition", "primitives", "detect", "register", "deform", "grasps"),
+    ("arguments", "level", "recognition", "primitives", "detect", "register", "deform", "classfree", "grasps"),
     ("overlap", "complete", "completers", "completion", "export", "scenes", "datasets", "captures"),
     ("envs", "train"),
     ("drawing",),
@@ -28,7 +28,7 @@ ROWS = (
 ROW_OF = {room: row for row, rooms in enumerate(ROWS) for room in rooms}
 # A prefix of the module's name under gfp_grasp, for each library that is slow to load or can crash.
 HEAVY = {
-    "torch": ("register.", "detect.", "deform.", "train.", "bench.ablation"),
+    "torch": ("register.", "detect.", "deform.", "classfree.", "train.", "bench.ablation"),
     "coacd": ("collision.",),
     "vhacdx": ("collision.",),
     "mujoco": (

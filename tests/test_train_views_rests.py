@@ -5,14 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial import Delaunay
+from toy_bodies import T_WORLD_OBJECT, l_body
 
 from gfp_grasp.scenes import ObjectSource
 from gfp_grasp.shapes import FAMILIES, get_family, make_shape, split_seeds
 from gfp_grasp.train import views as module
-from gfp_grasp.train.rests import _flattest_roll, ways_of_shape
+from gfp_grasp.train.rests import _flattest_roll, draw_stable_rest, ways_of_shape
 from gfp_grasp.train.rests import ways_of_resting as ways_of
 from gfp_grasp.train.views import View, ViewsConfig, render_views, shape_source, views_of_mesh
-from gfp_grasp.transforms import apply_T, rotation_about
+from gfp_grasp.transforms import apply_T, is_rotation, rotation_about
 from gfp_grasp.types import RESTS
 
 SMALL = ViewsConfig(width=80, height=60, num_points=200, hidden_share=0.0, fallen_share=0.0)
@@ -150,3 +152,19 @@ def test_a_variant_rests_as_its_own_spec_says() -> None:
     assert ways_of_shape("box", boxes["open"]) == ("upright", "lying", "upside_down")
     assert ways_of_shape("box", boxes["packet"]) == ("upright",)
     assert ways_of_shape("", 0) == RESTS
+
+
+def test_what_rests_on_any_side_does_not_roll_and_mostly_lies_on_a_large_one() -> None:
+    mesh = l_body()
+    mesh.apply_transform(T_WORLD_OBJECT)
+    heights = []
+    for seed in range(40):
+        T = draw_stable_rest(mesh, np.random.default_rng(seed))
+        assert is_rotation(T[:3, :3])
+        placed = apply_T(T, np.asarray(mesh.vertices))
+        assert placed[:, 2].min() == pytest.approx(0.0, abs=1e-9)
+        foot = Delaunay(placed[placed[:, 2] < 1e-6, :2])
+        assert foot.find_simplex(apply_T(T, mesh.center_mass)[:2]) >= 0
+        heights.append(round(float(placed[:, 2].max()), 4))
+    assert len(set(heights)) >= 3
+    assert np.mean(np.array(heights) < 0.06) > 0.5

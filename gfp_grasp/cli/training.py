@@ -268,6 +268,42 @@ def instances(
     out.print(str(card), markup=False)
 
 
+@train.command()
+def classfree(
+    without: Annotated[
+        str | None, typer.Option(help="Classes to leave out of what is learnt, with commas between.")
+    ] = None,
+    file: Out = None,
+    steps: Steps = None,
+    members: Annotated[
+        int | None, typer.Option(min=1, help="Objects of each class; left out, those of the shipped weights.")
+    ] = None,
+    mixtures: Annotated[
+        int | None,
+        typer.Option(min=1, help="Things of each kind that is of no class; left out, those of the shipped weights."),
+    ] = None,
+    runs: Runs = Path("runs"),
+    device: Device = "cpu",
+    workers: Workers = 1,
+    seed: Seed = 0,
+) -> None:
+    """The network that completes things of no class; it is measured on classes left out like on the others."""
+    from gfp_grasp.train import ClassfreeConfig, train_classfree
+
+    config = ClassfreeConfig(seed=seed, device=device)
+    config = replace(
+        config,
+        steps=steps or config.steps,
+        members=members or config.members,
+        mixtures=mixtures or config.mixtures,
+    )
+    with _bar("classfree", config.steps) as report:
+        card = train_classfree(
+            config=config, without=_listed(without) or (), out=file, runs=runs, workers=workers, report=report
+        )
+    out.print(str(card), markup=False)
+
+
 def _listed(classes: str | None) -> tuple[str, ...] | None:
     """The classes of a comma-separated list; None where there is no list."""
     return None if classes is None else tuple(name.strip() for name in classes.split(",") if name.strip())

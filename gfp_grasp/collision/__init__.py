@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from gfp_grasp.collision.choice import collision_of, with_binding
     from gfp_grasp.collision.config import CollisionConfig, DecomposeConfig
     from gfp_grasp.collision.convex import MIN_THICKNESS_M, convex_part, within_bounds
-    from gfp_grasp.collision.cutting import cut_parts
+    from gfp_grasp.collision.cutting import cut_parts, quick_parts
     from gfp_grasp.collision.decomposition import decompose, decompose_many, hull, part_levels
     from gfp_grasp.collision.deformed import deform_parts
     from gfp_grasp.collision.engines.guard import close_workers, idle_pids
@@ -37,6 +37,7 @@ __all__ = [
     "part_levels",
     "parts_from_arrays",
     "parts_to_arrays",
+    "quick_parts",
     "read_parts",
     "union_error_m",
     "with_binding",
@@ -63,6 +64,7 @@ _HOMES = {
     "part_levels": "decomposition",
     "parts_from_arrays": "parts",
     "parts_to_arrays": "parts",
+    "quick_parts": "cutting",
     "read_parts": "store",
     "union_error_m": "fidelity",
     "with_binding": "choice",

@@ -12,6 +12,7 @@ import trimesh
 
 from gfp_grasp.collision.config import CollisionConfig, DecomposeConfig
 from gfp_grasp.collision.convex import convex_part
+from gfp_grasp.collision.cutting import quick_parts
 from gfp_grasp.collision.decomposition import decompose, hull
 from gfp_grasp.collision.deformed import bind_parts, deform_parts, matching_primitive
 from gfp_grasp.collision.fidelity import (
@@ -37,6 +38,7 @@ _CONVEX_EXCESS = 1e-3
 # not worth their time; on a template of 0.2 m, these are 0.01 mm and 0.1 mm.
 _NEXT_TO_NOTHING = np.array([1 / 20_000, 1 / 2000])
 _SAMPLES = 300
+_NAMES = {"coacd": "CoACD", "cuts": "cutting"}
 # Centre of the largest ball in a primitive without a stored binding; None where there is none.
 _gaps: WeakKeyDictionary[GenericPrimitive, np.ndarray | None] = WeakKeyDictionary()
 
@@ -45,10 +47,10 @@ def collision_of(shape: CompletedShape, *, config: CollisionConfig = CollisionCo
     """Convex parts of a completed shape, within a budget.
 
     Where the mesh has the vertices of its primitive or of a variant, the primitive's parts are deformed with it. A
-    convex mesh is its own hull. For any other mesh CoACD runs. CoACD also runs where deformed parts miss their bound,
-    which is the config's tolerance, or else 1 % of the diagonal on average; and four fifths of the ball that fits into
-    a hollow mesh must fit between the parts. If CoACD's parts miss the bound too, the better parts of the two are
-    returned, with a warning that tells the figures.
+    convex mesh is its own hull. For any other mesh the config's engine runs, as a rule CoACD. It also runs where
+    deformed parts miss their bound, which is the config's tolerance, or else 1 % of the diagonal on average; and four
+    fifths of the ball that fits into a hollow mesh must fit between the parts. If the engine's parts miss the bound
+    too, the better parts of the two are returned, with a warning that tells the figures.
 
     Args:
         shape: The completed shape; its mesh may be in any frame, and the parts come in the same frame.
@@ -71,8 +73,13 @@ def collision_of(shape: CompletedShape, *, config: CollisionConfig = CollisionCo
     if _is_convex(shape.mesh):
         found = hull(shape.mesh, max_vertices=config.max_vertices_per_part)
     else:
-        found = decompose(shape.mesh, config=_as_coacd(config))
+        found = _split(shape.mesh, config)
     return found if _is_true(found, shape, config) else _with_warning(found, "more parts or vertices are needed")
+
+
+def _split(mesh: trimesh.Trimesh, config: CollisionConfig) -> CollisionMesh:
+    """Parts of any mesh by the config's engine."""
+    return quick_parts(mesh, config=config) if config.engine == "cuts" else decompose(mesh, config=_as_coacd(config))
 
 
 def _is_convex(mesh: trimesh.Trimesh) -> bool:
@@ -188,9 +195,9 @@ def _decomposed_or(deformed: CollisionMesh, shape: CompletedShape, config: Colli
     """CoACD's parts where they are nearer to the mesh than the deformed ones; else the deformed ones."""
     assert shape.fit is not None
     try:
-        fresh = decompose(shape.mesh, config=_as_coacd(config))
+        fresh = _split(shape.mesh, config)
     except (DecompositionFailed, InvalidMesh) as error:
-        return _with_warning(deformed, f"they are kept, as CoACD failed: {error}")
+        return _with_warning(deformed, f"they are kept, as {_NAMES[config.engine]} failed: {error}")
     primitive = matching_primitive(shape.fit.primitive, len(shape.mesh.vertices))
     ball = _ball(primitive, shape.mesh, PartFaces.of(fresh.parts))
     fresh = replace(fresh, notes={**fresh.notes, **ball, "deformed_error_m": deformed.error_m})
@@ -211,7 +218,9 @@ def _with_warning(found: CollisionMesh, more: str) -> CollisionMesh:
 
 
 def _said(found: CollisionMesh) -> str:
-    whose = {"carried": "deformed parts", "hull": "the hull"}.get(found.made_by, f"CoACD's {len(found.parts)} parts")
+    num = len(found.parts)
+    whose = {"carried": "deformed parts", "hull": "the hull", "cuts": f"{num} parts by plane cuts"}
+    whose = whose.get(found.made_by, f"CoACD's {num} parts")
     mean, high = (f"{1e3 * error:.1f} mm" for error in found.error_m[:2])
     left = _clearance(found)
     ball = "" if left >= _CLEARANCE_LEFT else f", and leave {left:.0%} of the ball that fits inside"

@@ -24,13 +24,17 @@ class CollisionConfig:
         max_vertices_per_part: Largest number of vertices of a part; None for no limit.
         tolerance_m: 95 % of the surfaces of parts and mesh lie within this distance of each other. The fewest parts
             that achieve this are taken. None takes as many of max_parts as make a difference.
+        engine: What splits a mesh that brings no parts of its own, or whose own parts miss their bound: "coacd", or
+            "cuts" for few plane cuts, in a fifth of a second.
     """
 
     max_parts: int = 80
     max_vertices_per_part: int | None = None
     tolerance_m: float | None = None
+    engine: Literal["coacd", "cuts"] = "coacd"
 
     def __post_init__(self) -> None:
+        _choice(self.engine, "engine", ("coacd", "cuts"))
         _whole(self.max_parts, "max_parts", 1, None)
         if self.max_vertices_per_part is not None:
             _whole(self.max_vertices_per_part, "max_vertices_per_part", 4, None, "; or None for no limit")

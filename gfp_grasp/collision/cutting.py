@@ -1,4 +1,4 @@
-"""Convex parts of a true object by greedy plane cuts: seconds where CoACD's tree search takes up to a minute.
+"""Convex parts by greedy plane cuts: seconds where CoACD's tree search takes up to a minute, or a fifth of a second.
 
 A vessel's wall is cut into sectors and bands until no piece is more concave than a bound, so that a rim keeps its
 thickness and the inside stays hollow. The cuts are exact (manifold3d); only the pieces' hulls add volume.
@@ -15,10 +15,13 @@ import numpy as np
 import trimesh
 from scipy.spatial import ConvexHull, QhullError
 
+from gfp_grasp.collision.config import CollisionConfig
 from gfp_grasp.collision.convex import convex_part
 from gfp_grasp.collision.fidelity import union_error_m
+from gfp_grasp.collision.levels import merge_tree, merged
+from gfp_grasp.collision.parts import diagonal_m, volume_m3
 from gfp_grasp.errors import DecompositionFailed, InvalidMesh
-from gfp_grasp.types import CollisionMesh
+from gfp_grasp.types import CollisionMesh, ConvexPart
 
 _LEAST_PIECE_M3 = 1e-11  # a crumb of 0.2 mm
 _SIMPLIFIED_M = 1e-4  # detail below this is dropped first: it costs pieces and no finger feels it
@@ -27,6 +30,11 @@ _NEAR_AXIS_M = 0.002
 _LEAST_SHARE = 0.02  # of a piece: smaller slices use up the parts without getting anywhere
 _THINNEST_M = 5e-4  # and so do thinner ones
 _BALANCE = 0.1  # of two cuts that save alike, the more even one
+# Quick cuts: shares of the diagonal, and bounds of what is tried.
+_QUICK_DETAIL, _QUICK_CONCAVITY = 0.006, 0.02
+_QUICK_PARTS = 24
+_QUICK_TRIED = 4  # planes of those that promise most
+_SAMPLES, _QUICK_SAMPLES = 2000, 300  # of the error
 
 
 def cut_parts(mesh: trimesh.Trimesh, *, concavity_m: float = 0.001, max_parts: int = 96) -> CollisionMesh:
@@ -50,14 +58,53 @@ def cut_parts(mesh: trimesh.Trimesh, *, concavity_m: float = 0.001, max_parts: i
     if not mesh.is_volume:
         raise InvalidMesh("cut_parts needs a watertight volume: use meshes.make_solid first")
     pieces = _cut(_solid(mesh), mesh.centroid[:2], concavity_m, max_parts)
-    parts = tuple(part for piece in pieces if (part := convex_part(piece.vertices)) is not None)
+    return _measured_parts(_convex(pieces), pieces, mesh, started, samples=_SAMPLES)
+
+
+def quick_parts(mesh: trimesh.Trimesh, *, config: CollisionConfig = CollisionConfig()) -> CollisionMesh:
+    """Split a volume by few planes, chosen with less care than those of `cut_parts`, of a surface with less detail.
+
+    Args:
+        mesh: Watertight volume, m, z up.
+        config: Budget; more than 24 parts are not made. Its tolerance, or else a fiftieth of the diagonal, is the depth
+            below the hull up to which vertices and middles of faces of a piece may lie.
+
+    Returns:
+        The parts, with their two-sided error to the mesh as it was given. Their `notes` are those of `cut_parts`.
+
+    Raises:
+        InvalidMesh: The mesh is not a volume.
+        DecompositionFailed: Nothing is left once crumbs are dropped.
+    """
+    started = time.monotonic()
+    if not mesh.is_volume:
+        raise InvalidMesh("quick_parts needs a watertight volume: use meshes.make_solid first")
+    diagonal = diagonal_m(np.asarray(mesh.vertices))
+    most = min(config.max_parts, _QUICK_PARTS)
+    concavity_m = config.tolerance_m or _QUICK_CONCAVITY * diagonal
+    solid = _solid(mesh, _QUICK_DETAIL * diagonal)
+    pieces = _cut(solid, mesh.centroid[:2], concavity_m, most, quick=True)
+    parts = _convex(pieces, config.max_vertices_per_part)
+    if len(parts) > most:  # so many bodies
+        parts = merged(parts, merge_tree(parts), most, max_vertices=config.max_vertices_per_part)
+    return _measured_parts(parts, pieces, mesh, started, samples=_QUICK_SAMPLES)
+
+
+def _convex(pieces: list[_Piece], max_vertices: int | None = None) -> tuple[ConvexPart, ...]:
+    hulls = (convex_part(piece.vertices, max_vertices=max_vertices) for piece in pieces)
+    parts = tuple(part for part in hulls if part is not None)
     if not parts:
         raise DecompositionFailed("nothing is left of the mesh once crumbs are dropped: is it in metres?")
-    seconds = time.monotonic() - started
-    error_m = union_error_m(parts, mesh, rng=np.random.default_rng(0))
-    ratio = sum(part.to_trimesh().volume for part in parts) / mesh.volume
+    return parts
+
+
+def _measured_parts(
+    parts: tuple[ConvexPart, ...], pieces: list[_Piece], mesh: trimesh.Trimesh, started: float, *, samples: int
+) -> CollisionMesh:
+    error_m = union_error_m(parts, mesh, count=samples, rng=np.random.default_rng(0))
+    ratio = sum(volume_m3(part) for part in parts) / mesh.volume
     notes = {"concavity_m": max(piece.concavity_m for piece in pieces), "volume_ratio": float(ratio)}
-    return CollisionMesh(parts, error_m, "cuts", seconds, notes)
+    return CollisionMesh(parts, error_m, "cuts", time.monotonic() - started, notes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -70,11 +117,13 @@ class _Piece:
     deepest: np.ndarray
 
 
-def _cut(solid: manifold3d.Manifold, axis: np.ndarray, concavity_m: float, max_parts: int) -> list[_Piece]:
+def _cut(
+    solid: manifold3d.Manifold, axis: np.ndarray, concavity_m: float, max_parts: int, *, quick: bool = False
+) -> list[_Piece]:
     done: list[_Piece] = []
     heap: list[tuple[float, int, _Piece]] = []
     number = 0
-    waiting = _pieces(solid)
+    waiting = _pieces(solid, quick)
     while True:
         for piece in waiting:
             if piece.concavity_m <= concavity_m:
@@ -85,18 +134,21 @@ def _cut(solid: manifold3d.Manifold, axis: np.ndarray, concavity_m: float, max_p
         if not heap or len(heap) + len(done) >= max_parts:
             return done + [piece for _, _, piece in heap]
         piece = heapq.heappop(heap)[2]
-        waiting = _best_cut(piece, axis)
+        waiting = _best_cut(piece, axis, quick)
         if not waiting:
             done.append(piece)
 
 
-def _best_cut(piece: _Piece, axis: np.ndarray) -> list[_Piece]:
-    """Pieces on both sides of the plane that leaves the least hull volume; empty where no plane cuts."""
+def _best_cut(piece: _Piece, axis: np.ndarray, quick: bool) -> list[_Piece]:
+    """Pieces on both sides of the plane that leaves the least hull volume; empty where no plane cuts.
+
+    Quick tries only a few of all planes: those that leave the least hull volume of the vertices on their sides.
+    """
     best, least = None, np.inf
-    for normal, offset in _planes(piece, axis):
-        along = piece.vertices @ normal - offset
-        if not along.min() < -_THINNEST_M < _THINNEST_M < along.max():
-            continue
+    planes = [(normal, offset) for normal, offset in _planes(piece, axis) if _parts(piece, normal, offset)]
+    if quick:
+        planes = sorted(planes, key=lambda plane: _side_hulls_m3(piece, *plane))[:_QUICK_TRIED]
+    for normal, offset in planes:
         halves = piece.solid.split_by_plane(tuple(normal), float(offset))
         volumes = [half.volume() for half in halves]
         if min(volumes) <= max(_LEAST_PIECE_M3, _LEAST_SHARE * sum(volumes)):
@@ -105,7 +157,20 @@ def _best_cut(piece: _Piece, axis: np.ndarray) -> list[_Piece]:
         cost = hulls * (1 + _BALANCE * abs(volumes[0] - volumes[1]) / sum(volumes))
         if cost < least:
             best, least = halves, cost
-    return [] if best is None else [part for half in best for part in _pieces(half)]
+    return [] if best is None else [part for half in best for part in _pieces(half, quick)]
+
+
+def _parts(piece: _Piece, normal: np.ndarray, offset: float) -> bool:
+    """Whether enough of a piece lies on both sides of a plane."""
+    along = piece.vertices @ normal - offset
+    return bool(along.min() < -_THINNEST_M < _THINNEST_M < along.max())
+
+
+def _side_hulls_m3(piece: _Piece, normal: np.ndarray, offset: float) -> float:
+    """Summed volume of the hulls of the vertices on either side of a plane."""
+    above = piece.vertices @ normal > offset
+    sides = (piece.vertices[above], piece.vertices[~above])
+    return sum(manifold3d.Manifold.hull_points(side).volume() for side in sides if len(side) > 3)
 
 
 def _planes(piece: _Piece, axis: np.ndarray) -> list[tuple[np.ndarray, float]]:
@@ -128,29 +193,39 @@ def _planes(piece: _Piece, axis: np.ndarray) -> list[tuple[np.ndarray, float]]:
     return planes
 
 
-def _pieces(solid: manifold3d.Manifold) -> list[_Piece]:
-    return [_measured(part) for part in solid.decompose() if part.volume() > _LEAST_PIECE_M3]
+def _pieces(solid: manifold3d.Manifold, quick: bool) -> list[_Piece]:
+    return [_measured(part, middles=quick) for part in solid.decompose() if part.volume() > _LEAST_PIECE_M3]
 
 
-def _measured(solid: manifold3d.Manifold) -> _Piece:
-    vertices = np.asarray(solid.to_mesh().vert_properties, dtype=np.float64)[:, :3]
+def _measured(solid: manifold3d.Manifold, *, middles: bool = False) -> _Piece:
+    """A piece, as concave as its deepest vertex, or as the deepest middle of a face where those count too."""
+    mesh = solid.to_mesh()
+    vertices = np.asarray(mesh.vert_properties, dtype=np.float64)[:, :3]
     try:
         hull = ConvexHull(vertices)
     except QhullError:  # flat: its hull is dropped later
         return _Piece(solid, vertices, 0.0, vertices[0])
-    depth = -(vertices @ hull.equations[:, :3].T + hull.equations[:, 3]).max(axis=1)
+    depth = _depth_m(vertices, hull)
     deepest = int(np.argmax(depth))
     # A ring or a bow whose vertices all lie on its hull is found by what it leaves empty, however thin it is: the share
     # of the hull times the width, which for a chord over a thin arc is about its height.
     empty = max(1 - solid.volume() / hull.volume, 0.0)
     gap = empty * float(np.sort(np.ptp(vertices, axis=0))[1]) / 6
-    return _Piece(solid, vertices, max(float(depth[deepest]), gap), vertices[deepest])
+    deep_m = max(float(depth[deepest]), gap)
+    if middles:
+        deep_m = max(deep_m, float(_depth_m(vertices[mesh.tri_verts].mean(axis=1), hull).max()))
+    return _Piece(solid, vertices, deep_m, vertices[deepest])
 
 
-def _solid(mesh: trimesh.Trimesh) -> manifold3d.Manifold:
+def _depth_m(points: np.ndarray, hull: ConvexHull) -> np.ndarray:
+    """How far (n,) points (n, 3) lie below the nearest side of a hull."""
+    return -(points @ hull.equations[:, :3].T + hull.equations[:, 3]).max(axis=1)
+
+
+def _solid(mesh: trimesh.Trimesh, detail_m: float = _SIMPLIFIED_M) -> manifold3d.Manifold:
     vertices, faces = np.asarray(mesh.vertices, dtype=np.float32), np.asarray(mesh.faces, dtype=np.uint32)
     whole = manifold3d.Manifold(manifold3d.Mesh(vert_properties=vertices, tri_verts=faces))
     if whole.is_empty():
         raise InvalidMesh(f"the mesh is no manifold volume to cut ({whole.status()}): repair it with meshes.make_solid")
-    simple = whole.simplify(_SIMPLIFIED_M)
+    simple = whole.simplify(detail_m)
     return whole if simple.is_empty() else simple

@@ -40,10 +40,10 @@ class PartLevels:
 def levels_of(parts: tuple[ConvexPart, ...], mesh: trimesh.Trimesh) -> PartLevels:
     """Levels of parts that a mesh was decomposed into."""
     parts, _ = convex_parts((part.vertices for part in parts), max_vertices=_MOST_VERTICES)
-    parts = _merged(parts, merge_tree(parts), _MOST)
+    parts = merged(parts, merge_tree(parts), _MOST)
     merges = merge_tree(parts)
     errors = [
-        union_error_m(_merged(parts, merges, count), mesh, rng=np.random.default_rng(0))[:2]
+        union_error_m(merged(parts, merges, count), mesh, rng=np.random.default_rng(0))[:2]
         for count in range(1, len(parts) + 1)
     ]
     return PartLevels(parts, merges, np.array(errors))
@@ -112,9 +112,19 @@ def groups_of(merges: np.ndarray, num_parts: int, count: int) -> list[list[int]]
     return sorted(groups.values())
 
 
-def _merged(parts: tuple[ConvexPart, ...], merges: np.ndarray, count: int) -> tuple[ConvexPart, ...]:
+def merged(
+    parts: tuple[ConvexPart, ...], merges: np.ndarray, count: int, *, max_vertices: int | None = None
+) -> tuple[ConvexPart, ...]:
+    """The parts of one level: hulls of the finest parts, joined as `merge_tree` says until there are so many.
+
+    Args:
+        parts: The p finest.
+        merges: (p - 1, 2), from `merge_tree`.
+        count: Number of parts at most.
+        max_vertices: Most vertices of each; None for no limit.
+    """
     hulls = [
-        convex_part(np.concatenate([parts[i].vertices for i in group]))
+        convex_part(np.concatenate([parts[i].vertices for i in group]), max_vertices=max_vertices)
         for group in groups_of(merges, len(parts), count)
     ]
     return tuple(hull for hull in hulls if hull is not None)

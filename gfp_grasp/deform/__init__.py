@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 from gfp_grasp.deform.gfs import SnakeConfig, evolve
 from gfp_grasp.deform.patches import MISFIT_SHARE, NUM_TEMPLATE, Patches, make_patches
 from gfp_grasp.deform.shape import DeformConfig, Deformed, Method, deform
-from gfp_grasp.deform.standing import stand_on
+from gfp_grasp.deform.standing import stand_on, stood
 from gfp_grasp.deform.template import (
     NUM_PATCHES,
     NUM_SOURCE,
@@ -59,6 +59,7 @@ __all__ = [
     "patch_unit_m",
     "solve_change",
     "stand_on",
+    "stood",
     "template_points",
 ]
 

@@ -9,6 +9,7 @@ from gfp_grasp.meshes.load import (
     load_mesh,
     read_content,
 )
+from gfp_grasp.meshes.net import surface_net
 from gfp_grasp.meshes.solid import Repair, make_solid, repair_mesh
 from gfp_grasp.meshes.surface import (
     crossing_faces,
@@ -34,6 +35,7 @@ __all__ = [
     "read_content",
     "repair_mesh",
     "sample_surface",
+    "surface_net",
     "triangle_normals",
     "vertex_normals",
 ]

@@ -2,11 +2,13 @@
 
 from gfp_grasp.shapes.assorted import foreign_kinds, make_assorted
 from gfp_grasp.shapes.family import Family
+from gfp_grasp.shapes.mixtures import MIXTURES, make_mixture
 from gfp_grasp.shapes.shape import FAMILIES, HOUSEHOLD, SPLITS, TRAFFIC, Shape, get_family, make_shape, split_seeds
 
 __all__ = [
     "FAMILIES",
     "HOUSEHOLD",
+    "MIXTURES",
     "SPLITS",
     "TRAFFIC",
     "Family",
@@ -14,6 +16,7 @@ __all__ = [
     "foreign_kinds",
     "get_family",
     "make_assorted",
+    "make_mixture",
     "make_shape",
     "split_seeds",
 ]

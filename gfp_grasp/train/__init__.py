@@ -3,6 +3,8 @@
 from importlib import import_module
 from typing import TYPE_CHECKING
 
+from gfp_grasp.train.classfree_data import Thing, draw_things
+from gfp_grasp.train.classfree_measure import HullRow, measure_against_hull, summarise_against_hull
 from gfp_grasp.train.primitives import (
     build_from_folder,
     build_from_shapes,
@@ -16,6 +18,7 @@ from gfp_grasp.train.rests import rest_rotation
 from gfp_grasp.train.views import View, ViewsConfig, across_edge, render_views, shape_source
 
 if TYPE_CHECKING:
+    from gfp_grasp.train.classfree import ClassfreeConfig, train_classfree
     from gfp_grasp.train.gfpnet import GFPNET_CONFIGS, paper_loss, patches_of_split, train_gfpnet
     from gfp_grasp.train.instances import InstancesConfig, train_instances
     from gfp_grasp.train.loop import Batch, LoopConfig, shuffled, train
@@ -29,10 +32,13 @@ __all__ = [
     "GFPNET_CONFIGS",
     "PCRNET_CONFIG",
     "Batch",
+    "ClassfreeConfig",
     "Example",
+    "HullRow",
     "InstancesConfig",
     "LoopConfig",
     "ProposalConfig",
+    "Thing",
     "View",
     "ViewsConfig",
     "across_edge",
@@ -41,7 +47,9 @@ __all__ = [
     "build_from_shapes",
     "build_shipped",
     "class_examples",
+    "draw_things",
     "make_prototypes",
+    "measure_against_hull",
     "paper_loss",
     "patches_of_split",
     "procedural_members",
@@ -50,7 +58,9 @@ __all__ = [
     "shape_source",
     "shipped_names",
     "shuffled",
+    "summarise_against_hull",
     "train",
+    "train_classfree",
     "train_gfpnet",
     "train_instances",
     "train_pcrnet",
@@ -61,6 +71,7 @@ __all__ = [
 
 # These bring torch, and so come with the first use of one of them.
 _WITH_TORCH = {
+    **dict.fromkeys(("ClassfreeConfig", "train_classfree"), "classfree"),
     **dict.fromkeys(("train_proposal",), "proposal"),
     **dict.fromkeys(("ProposalConfig",), "proposal_batches"),
     **dict.fromkeys(("GFPNET_CONFIGS", "train_gfpnet"), "gfpnet"),

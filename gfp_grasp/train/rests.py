@@ -5,10 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 
 import numpy as np
+import trimesh
+from scipy.spatial import ConvexHull
 
+from gfp_grasp.meshes import triangle_normals
 from gfp_grasp.shapes import FAMILIES, get_family, make_shape
-from gfp_grasp.transforms import make_T, random_rotation, rotation_about
+from gfp_grasp.transforms import make_T, random_rotation, rotation_about, rotation_between
 from gfp_grasp.types import RESTS
+
+_ON_EDGE = 1e-6  # of a face, in barycentric shares: the hull's triangles part flat sides
 
 
 def ways_of_shape(family: str, seed: int) -> tuple[str, ...]:
@@ -55,6 +60,25 @@ def draw_rest(
     R = rotation_about((0, 0, 1), rng.uniform(0, 2 * np.pi)) @ R
     turned = vertices @ R.T
     return resting, make_T(R, (0.0, 0.0, -turned[:, 2].min()))
+
+
+def draw_stable_rest(mesh: trimesh.Trimesh, rng: np.random.Generator) -> np.ndarray:
+    """A pose (4, 4), at any yaw, in which a solid rests on z = 0 and does not roll.
+
+    A face of its hull is drawn by the angle that it takes up as seen from the centre of mass, about which a thing that
+    is dropped at random falls on it.
+    """
+    vertices, centre = np.asarray(mesh.vertices), mesh.center_mass
+    hull = ConvexHull(vertices)
+    normals, depth = hull.equations[:, :3], -(hull.equations[:, :3] @ centre + hull.equations[:, 3])
+    corners = vertices[hull.simplices]
+    with np.errstate(divide="ignore", invalid="ignore"):  # needles, whose shares are no numbers
+        foot = trimesh.triangles.points_to_barycentric(corners, centre + depth[:, None] * normals)
+    doubled = np.linalg.norm(triangle_normals(corners), axis=1)
+    odds = np.where((foot > -_ON_EDGE).all(axis=1), doubled / np.maximum(depth, 1e-9) ** 2, 0.0)
+    face = int(rng.choice(len(odds), p=odds / odds.sum()))
+    R = rotation_about((0, 0, 1), rng.uniform(0, 2 * np.pi)) @ rotation_between(normals[face], (0.0, 0.0, -1.0))
+    return make_T(R, (0.0, 0.0, -float((vertices @ R[2]).min())))
 
 
 def _flattest_roll(vertices: np.ndarray) -> float:
