@@ -26,6 +26,7 @@ _ROUND = 0.035
 _HOLLOW = 0.08
 # A pose at rest whose up is within 35 degrees of the axis stands on that end of it.
 _SAME_END = np.cos(np.radians(35.0))
+_RESTS = 6  # likeliest poses at rest whose up may be the axis
 # The base is what lies within this share of the height above the lowest point.
 _BASE = 0.02
 _MAX_SEAT_TURN = np.radians(10.0)
@@ -73,17 +74,18 @@ def _upright(mean: np.ndarray, faces: np.ndarray) -> np.ndarray:
     surface = Surface(mesh, rng, count=3000)
     diagonal = float(np.linalg.norm(mesh.extents))
     centre = surface.points.mean(axis=0)
-    _, axes = np.linalg.eigh(np.cov((surface.points - centre).T))
-    moved = [_turned_distance(surface, centre, axis) for axis in axes.T]
-    axis = axes[:, int(np.argmin(moved))]
     rests = _resting_turns(mesh)
+    # A handle tilts the axes of inertia, by any angle where the body is about as high as it is wide.
+    inertia = np.linalg.eigh(np.cov((surface.points - centre).T))[1]
+    axes = [*inertia.T, *(rest.T @ _UP for rest in rests[:_RESTS])]
+    moved = [_turned_distance(surface, centre, axis) for axis in axes]
+    axis = axes[int(np.argmin(moved))]
     if min(moved) > _ROUND * diagonal:
         return rests[0]
     choices = [rotation_between(sign * axis, _UP) for sign in (1.0, -1.0)]
     hollow = [enclosed(trimesh.Trimesh(mean @ R.T, faces, process=False)).mean() for R in choices]
     score = hollow if max(hollow) > _HOLLOW else [_base_area(mean @ R.T) for R in choices]
     R = choices[int(np.argmax(score))]
-    # A handle tilts the axis of inertia; the base does not lie.
     near = [rest for rest in rests if (R.T @ _UP) @ (rest.T @ _UP) > _SAME_END]
     return rotation_between(R @ near[0].T @ _UP, _UP) @ R if near else R
 
