@@ -298,6 +298,8 @@ def test_what_a_view_shows_nearer_along_one_end_hides_how_the_object_goes_on(col
         return
     assert found.cut is not None
     assert evidence.silhouette is not None
+    unknown = replace(evidence, cloud=PointCloud(evidence.cloud.points, None))
+    assert behind_occluder(unknown) is unknown
     upward = np.array([0.0, -70.0, 1.0])  # the row of the object's first pixels is one below the middle of the picture
     R = evidence.silhouette.view.moved(np.eye(4)).T_world_camera[:3, :3]  # pyright: ignore[reportAttributeAccessIssue]
     np.testing.assert_allclose(found.cut, R @ upward / np.linalg.norm(upward), atol=1e-9)

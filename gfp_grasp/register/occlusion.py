@@ -32,9 +32,7 @@ _BEYOND = 0.02  # share of the outline that may lie beyond a straight edge, for 
 _FACING_SHARE = 0.6  # share of the outline on a straight edge that must face the viewpoint
 _CONTACT = 0.4  # share of the outline's extent along a straight edge that lies on it
 _LEAST_EDGE_PX = 8  # pixels beside the object that see something nearer
-_BEYOND_OCCLUDER = (
-    0.1  # share of the object's pixels that may lie beyond an end that is hidden, as its edge is not straight
-)
+_BEYOND_OCCLUDER = 0.1  # share of the object that may lie beyond an end that is hidden: edges are not straight
 _LOWEST = 0.04  # share of the points that count as the lowest seen
 
 
@@ -84,7 +82,7 @@ def behind_occluder(evidence: LevelView) -> LevelView:
     """
     silhouette = evidence.silhouette
     assert silhouette is not None
-    if not isinstance(silhouette.view, DepthImage):
+    if evidence.viewpoint is None or not isinstance(silhouette.view, DepthImage):
         return evidence
     own = ~silhouette.offset_px.any(axis=0)
     beside = np.argwhere(np.logical_and(ndimage.binary_dilation(own, np.ones((3, 3))), ~own))
