@@ -72,8 +72,9 @@ def test_subcategories_count_by_their_share():
     np.testing.assert_array_equal(own.vectors, np.eye(3))
 
 
-class _Toy(SimpleNamespace):
-    __hash__ = object.__hash__
+class _Toy:
+    def __init__(self, **values):
+        self.__dict__.update(values)
 
 
 def test_shares_within_a_class_go_by_prototypes_and_far_from_all_by_the_share_of_each(monkeypatch):
