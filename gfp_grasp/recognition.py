@@ -19,8 +19,8 @@ _LEAST_SCORE = 1e-6
 # No right class of 60 unhidden views of the validation split is fitted at a greater cost; of bottles of which half is
 # hidden every second one is, and of things that fell those whose class was not among the likely ones.
 _POOR_COST = 60.0
-_UNLIKELY = 0.05  # where the fit is poor, classes of this share of the score that counted as likely are fitted too,
-_MOST_CANDIDATES = 12  # but no more primitives than this
+_UNLIKELY = 0.005  # where the fit is poor, classes of this share of the score that counted as likely are fitted too,
+_MOST_CANDIDATES = 24  # but no more primitives than this
 
 
 def recognise(detection: Detection, library: PrimitiveLibrary) -> Detection:

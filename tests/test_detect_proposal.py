@@ -213,13 +213,15 @@ def test_what_is_cut_off_starts_as_long_as_its_class_in_the_ways_that_are_propos
         np.testing.assert_array_equal(state.log_scale, other.log_scale)
 
 
-def test_a_lying_object_is_proposed_with_its_axis_level(mug):
+def test_a_lying_object_is_proposed_with_its_axis_level_and_starts_from_its_boxes_too(mug):
     box = OrientedBox(
         make_T(rotation_about((0, 1, 0), np.radians(80.0)), (0.2, 0.01, 0.05)), np.array([0.12, 0.09, 0.1])
     )
     proposal = _proposal(box=box, rests={"upright": 0.01, "upside_down": 0.0, "lying": 0.99})
     evidence = make_level_view(_detection(_tube(np.random.default_rng(8)), proposal))
-    (state,) = proposed_starts(mug, evidence, ("upright", "upside_down", "lying"))
-    assert state.hypothesis == "lying"
+    state, *boxes = proposed_starts(mug, evidence, ("upright", "upside_down", "lying"))
+    assert {start.hypothesis for start in (state, *boxes)} == {"lying"}
+    for start, other in zip(boxes, make_starts(mug, evidence, ("lying",)), strict=True):
+        np.testing.assert_array_equal(start.R, other.R)
     np.testing.assert_allclose(evidence.T_world_level[:3, :3] @ state.R[:, 2], [1.0, 0.0, 0.0], atol=1e-9)
     assert (state.world(mug.vertices) @ evidence.up).min() == pytest.approx(evidence.floor_m, abs=1e-9)

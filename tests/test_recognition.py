@@ -135,17 +135,17 @@ def test_the_likeliest_classes_come_highest_first():
     ("costs", "numbers", "answer"),
     [
         ([59.0], [3], 59.0),
-        ([61.0, 30.0], [3, 12], 30.0),
-        ([61.0, 70.0], [3, 12], 61.0),
-        ([None, 70.0], [3, 12], 70.0),
-        ([61.0, None], [3, 12], 61.0),
+        ([61.0, 30.0], [3, 24], 30.0),
+        ([61.0, 70.0], [3, 24], 61.0),
+        ([None, 70.0], [3, 24], 70.0),
+        ([61.0, None], [3, 24], 61.0),
     ],
 )
 def test_where_no_likely_class_fits_unlikely_ones_are_tried(costs, numbers, answer, monkeypatch) -> None:
     asked = []
 
     def some(detection, library, *, rival_share, subcategories):
-        return list(range({0.2: 3, 0.01: 30}[round(rival_share, 9)]))
+        return list(range({0.2: 3, 0.001: 30}[round(rival_share, 9)]))
 
     def fit_best(view, candidates, *, config):
         cost = costs[len(asked)]

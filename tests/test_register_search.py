@@ -320,6 +320,9 @@ def test_a_rival_goes_on_while_it_is_no_farther_behind_than_it_may_be():
     ]
     assert [r.cost for r in searches] == pytest.approx([9.0, 7.0, 17.0, 17.1])
     assert within_margin(searches, 10.0) == searches[:3]
+    assert within_margin(searches, 1.0) == [searches[1]]
+    poor = [Search(wedge_primitive(), 0.0, [wedge_state(cost=cost, rest_cost=0.0)]) for cost in (1001.0, 800.0, 999.0)]
+    assert within_margin(poor, 10.0) == poor[1:]  # a quarter of the least cost
 
 
 def _half_seen_wedge():

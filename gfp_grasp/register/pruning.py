@@ -16,6 +16,7 @@ from gfp_grasp.register.state import PoseShape
 from gfp_grasp.types import GenericPrimitive, LevelView
 
 _HEAD_STEPS = 2  # quick steps that every start takes
+_RIVAL_SHARE = 0.25  # of the least cost by which a rival may exceed it where that is more than the margin; ours
 _ABANDON_MARGIN = 100.0  # a start that is behind by this cost after the quick steps never comes back; ours
 # Starts of one hypothesis are the same place where they differ by less than this in translation (a share of the
 # primitive's size) and in every entry of R.
@@ -83,8 +84,9 @@ def search_starts(
 
 
 def within_margin(searches: list[Search], margin: float) -> list[Search]:
-    """The searches whose cost exceeds the least by no more than a margin."""
-    limit = min(search.cost for search in searches) + margin
+    """The searches whose cost exceeds the least by no more than a margin, or a share of it: poor starts say little."""
+    least = min(search.cost for search in searches)
+    limit = least + max(margin, _RIVAL_SHARE * least)
     return [search for search in searches if search.cost <= limit]
 
 

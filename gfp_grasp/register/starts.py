@@ -43,7 +43,7 @@ def make_starts(primitive: GenericPrimitive, evidence: LevelView, hypotheses: tu
 
 
 def proposed_starts(primitive: GenericPrimitive, evidence: LevelView, hypotheses: tuple[str, ...]) -> list[PoseShape]:
-    """Starts where one look at the object proposes; a way of resting that it holds possible too starts from boxes.
+    """Starts where one look at the object proposes; from boxes too where it lies, or may rest in another way.
 
     Where nobody has looked, or not at the primitive's class, these are the starts of `make_starts`.
     """
@@ -55,6 +55,8 @@ def proposed_starts(primitive: GenericPrimitive, evidence: LevelView, hypotheses
     if evidence.cut is not None:  # the look takes what it sees for nearly all; the class knows how long it is
         return make_starts(primitive, evidence, (likeliest, *possible))
     found = [_proposed(primitive, evidence, likeliest, yaw) for yaw in _proposed_yaws(primitive, proposal)]
+    if likeliest == "lying":  # which way its axis points is what the look errs in
+        possible = ("lying", *possible)
     return found + (make_starts(primitive, evidence, possible) if possible else [])
 
 
