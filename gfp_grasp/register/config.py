@@ -92,8 +92,8 @@ class FitConfig:
         kept_share: Share of the starts that outlive the first two quick steps.
         num_kept: Number of starts that get the middle refinement.
         prune_margin: After the middle refinement, a start whose cost exceeds the best by more than this is pruned.
-        rival_margin: After the first steps, a primitive whose best start exceeds another's by more than this, and by more
-            than a quarter of its cost, is pruned.
+        rival_margin: After the first steps, a primitive whose best start exceeds another's by more than this, and by
+            more than a quarter of its cost, is pruned.
         rival_margin_quick: The same margin after the quick steps.
         occlusion: Ask whether something hides a part of a cloud that came without its view.
         roundness: Ask whether the body is as deep as it is wide.
