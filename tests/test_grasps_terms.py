@@ -425,6 +425,23 @@ def test_obstacles_are_the_surface_the_parts_with_their_corners_and_what_stands_
     assert len(obstacle_of(unsupported, surface, config, rng)) == len(obstacle) - 50
 
 
+def test_what_was_seen_and_not_completed_is_kept_clear_of_but_strays_are_not():
+    mesh = trimesh.creation.box((0.04, 0.05, 0.1))
+    rng = np.random.default_rng(2)
+    clump = (0.05, 0.0, 0.01) + 0.002 * rng.uniform(-1, 1, (8, 3))
+    fewer = (-0.05, 0.0, 0.01) + 0.002 * rng.uniform(-1, 1, (7, 3))
+    near = (0.0, 0.028, 0.0) + 0.002 * rng.uniform(-1, 1, (20, 3))
+    completion = completion_of(mesh)
+    cloud = PointCloud(np.concatenate([near, clump, fewer]))
+    completion = replace(completion, detection=replace(completion.detection, cloud=cloud))
+    config = GraspConfig(num_points=2000)
+    surface = surface_of(completion, config, rng)
+    obstacle = obstacle_of(completion, surface, config, rng)
+    off = obstacle[np.abs(obstacle[:, 0]) > 0.021]
+    assert {tuple(row) for row in off.round(9)} == {tuple(row) for row in clump.round(9)}
+    assert len(obstacle) == len(surface.points) + 8
+
+
 def test_samples_of_parts_are_shared_out_by_area():
     mesh = trimesh.creation.box((0.04, 0.05, 0.1))
     small, large = trimesh.creation.icosphere(radius=0.01), trimesh.creation.icosphere(radius=0.03)
@@ -567,7 +584,7 @@ def test_jaws_that_the_object_hides_cost_their_preference():
         opening = np.array([0.06])
         hidden = hidden_share(DOWN[None], opening, mesh, viewpoint, GRIPPER)[0]
         whole = quality_at(DOWN, mesh)
-        assert quality_at(DOWN, mesh, viewpoint=viewpoint) == pytest.approx(whole * (1 - 0.5 * hidden), rel=1e-6)
+        assert quality_at(DOWN, mesh, viewpoint=viewpoint) == pytest.approx(whole * (1 - 0.75 * hidden), rel=1e-6)
         trusting = GraspConfig(sway=0.3, hidden_preference=1.0)
         assert quality_at(DOWN, mesh, viewpoint=viewpoint, config=trusting) == pytest.approx(whole)
     assert hidden_share(DOWN[None], opening, block(), np.array([0.0, 2.0, 0.05]), GRIPPER)[0] > 0.2

@@ -122,7 +122,7 @@ class GraspConfig:
         sway: Sideways acceleration that the object is to be carried against, as a share of gravity.
         doubt_length_m: Standard deviation of the surface's position that costs unseen contact a factor e.
         neighbour_gap_m: Points that were seen farther than this from the object and from the support are another
-            object's.
+            object's; of its own, those farther than this from its completion are something that was not completed.
         hidden_preference: Quality of a grasp whose jaws the object hides over one with both in sight.
         gripper: The boxes of the gripper.
     """
@@ -147,7 +147,7 @@ class GraspConfig:
     sway: float = 0.3
     doubt_length_m: float = 0.010
     neighbour_gap_m: float = 0.010
-    hidden_preference: float = 0.5
+    hidden_preference: float = 0.25
     gripper: Gripper = field(default_factory=Gripper)
 
     def __post_init__(self) -> None:

@@ -18,6 +18,7 @@ from gfp_grasp.grasps.config import GraspConfig, Gripper
 from gfp_grasp.meshes import sample_surface
 from gfp_grasp.types import Detection
 
+_FEW = 8  # points within the gap from which on what was seen is no stray of the sensor; ours
 _REACH_M = 0.35  # neighbours farther from the object than this are out of the gripper's way
 
 
@@ -59,14 +60,17 @@ def surface_of(completion: Graspable, config: GraspConfig, rng: np.random.Genera
 
 
 def obstacle_of(completion: Graspable, surface: Surface, config: GraspConfig, rng: np.random.Generator) -> np.ndarray:
-    """Points (k, 3) m that the gripper keeps clear of, in no order: on the mesh, its parts, and what stands about."""
+    """Points (k, 3) m that the gripper keeps clear of, in no order.
+
+    They lie on the mesh, its parts, what stands about, and where the object was seen and not completed.
+    """
     parts = [part for part in completion.parts if part.area > 0]
     areas = np.array([part.area for part in parts])
     counts = np.ceil(config.num_points / 2 * areas / areas.sum()).astype(int) if len(parts) else []
     of_parts = [sample_surface(part, int(n), rng)[0] for part, n in zip(parts, counts, strict=True)]
     corners = [np.asarray(part.vertices) for part in completion.parts]
-    neighbours = _neighbours(completion.detection, config)
-    return rng.permutation(np.concatenate([surface.points, *of_parts, *corners, neighbours]))
+    seen = [_neighbours(completion.detection, config), _left_over(completion.detection, surface, config)]
+    return rng.permutation(np.concatenate([surface.points, *of_parts, *corners, *seen]))
 
 
 def _certainty(completion: Graspable, config: GraspConfig) -> np.ndarray:
@@ -90,6 +94,17 @@ def _neighbours(detection: Detection, config: GraspConfig) -> np.ndarray:
         return points
     apart = KDTree(own).query(points, distance_upper_bound=config.neighbour_gap_m)[0]
     return points[np.isinf(apart)]
+
+
+def _left_over(detection: Detection, surface: Surface, config: GraspConfig) -> np.ndarray:
+    """The object's own points (n, 3) m that its completion does not come near, but for lone ones."""
+    own = np.asarray(detection.cloud.points)
+    away = np.isinf(KDTree(surface.points).query(own, distance_upper_bound=config.neighbour_gap_m)[0])
+    points = own[away]
+    if not len(points):
+        return points
+    together = KDTree(points).query_ball_point(points, config.neighbour_gap_m, return_length=True)
+    return points[together >= _FEW]
 
 
 # Surface this close to the first touch counts as touched: pads and real surfaces give way by about as much.
