@@ -136,8 +136,9 @@ def plan_grasps(
 
     Closing lines are cast through the mesh; about each, the gripper comes from several directions, none from below the
     support. A grasp stays if the jaws take the width, both patches of contact lie within the friction cone, and the
-    gripper, swept along its straight approach, meets neither the mesh, its convex parts, the support, what else was seen to
-    stand about, nor what was seen of the object itself and not completed. Its quality is a product of factors between 0 and 1:
+    gripper, swept along its straight approach, meets neither the mesh, its convex parts, the support, what else was
+    seen to stand about, nor what was seen of the object itself and not completed. Its quality is a product of factors
+    between 0 and 1:
 
     - squareness: cosine between closing axis and contact normal, the worse side, from the edge of the cone to 1;
     - load ratio: the load that the pads hold by friction and torque against gravity and a sway to any side, over the
