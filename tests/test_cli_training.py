@@ -213,19 +213,24 @@ def test_training_of_the_registration_network_hands_on_every_option(
 
 
 def test_training_of_the_deformation_network_hands_on_every_option(
-    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], bars: list[tuple[str, int]]
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], bars: list[tuple[str, int]]
 ) -> None:
     train = recorded(monkeypatch, "gfp_grasp.train.train_gfpnet", Path("[b]card.json"))
-    assert run(f"train gfpnet --variant paper-oneshot --file own.safetensors --views 3 --workers 2 {TRAINED}") == 0
+    start = tmp_path / "start.safetensors"
+    start.touch()
+    words = f"--variant paper-oneshot --file own.safetensors --views 3 --workers 2 --rate 0.25 --start {start}"
+    assert run(f"train gfpnet {words} {TRAINED}") == 0
     assert run("train gfpnet") == 0
-    config = replace(GFPNET_CONFIGS["paper-oneshot"], seed=5, device="cuda", steps=7)
+    config = replace(GFPNET_CONFIGS["paper-oneshot"], seed=5, device="cuda", steps=7, rate=0.25)
     default = GFPNET_CONFIGS["patch"]
     assert train.calls == [
-        (("paper-oneshot",), {**RECEIVED, "config": config, "workers": 2}),
-        (("patch",), {**DEFAULTS, "config": default, "workers": 1}),
+        (("paper-oneshot",), {**RECEIVED, "config": config, "workers": 2, "start": start}),
+        (("patch",), {**DEFAULTS, "config": default, "workers": 1, "start": None}),
     ]
     assert bars == [("gfpnet paper-oneshot", 7), ("gfpnet patch", default.steps)]
     assert capsys.readouterr().out == "[b]card.json\n[b]card.json\n"
+    assert run("train gfpnet --rate 0") != 0
+    assert "rate" in capsys.readouterr().err
 
 
 def test_training_of_the_class_free_completion_hands_on_every_option(

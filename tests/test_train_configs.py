@@ -8,10 +8,12 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import torch
+from safetensors.torch import save_file
 from torch import nn
 
 from gfp_grasp.assets import data_dir
 from gfp_grasp.deform.gfpnet import WEIGHTS
+from gfp_grasp.errors import UnreadableFile
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.register import FitConfig
 from gfp_grasp.scenes import shipped_families
@@ -32,7 +34,7 @@ CONFIGS = {"proposal": ProposalConfig(), "pcrnet": PCRNET_CONFIG} | {
 @pytest.mark.parametrize("name", sorted(CONFIGS))
 def test_the_shipped_weights_were_trained_with_the_schedule_of_today(name: str) -> None:
     card = json.loads((data_dir("weights") / f"{name}.json").read_text(encoding="utf-8"))
-    assert asdict(CONFIGS[name]) == card["config"]
+    assert asdict(CONFIGS[name]) == card.get("start", card)["config"]
 
 
 def test_the_proposal_network_learns_from_views_of_many_heights_and_distances() -> None:
@@ -153,7 +155,7 @@ def test_gfpnet_is_trained_on_whole_objects_and_measured_on_a_quarter_of_them(mo
     assert [table.categories for table in loaded] == [("mug",)] * 2
     (made,), (written,) = run.trained, run.written
     assert made.config is GFPNET_CONFIGS["patch"]
-    assert made.checkpoint == Path("r/gfpnet/patch.pt")
+    assert (made.checkpoint.parent, made.checkpoint.stem[:6]) == (Path("r/gfpnet"), "patch_")
     assert made.loss.func is gfpnet.point_loss
     assert written.path == data_dir("weights") / "gfpnet.safetensors"
     assert (written.metrics, written.hours, written.config) == ({"whole": 6}, 1.5, made.config)
@@ -176,7 +178,6 @@ def test_the_papers_networks_are_trained_on_single_patches(monkeypatch) -> None:
     train_gfpnet("paper-oneshot", config=config, out=out, data=Path("meshes"), report=print)
     (made,), (written,) = run.trained, run.written
     assert loaded[0].categories == shipped_families()
-    assert made.checkpoint == Path("runs/gfpnet/paper-oneshot.pt")
     assert (made.loss, made.config, made.report) == (paper_loss, config, print)
     assert [tuple(part.shape) for part in next(made.batches(torch.Generator()))] == [(4, 3), (4, 4)]
     assert (written.path, written.metrics, written.data["shapes"]) == (out, {"patches": 9}, "laid out as meshes")
@@ -184,6 +185,25 @@ def test_the_papers_networks_are_trained_on_single_patches(monkeypatch) -> None:
     torch.manual_seed(3)
     fresh = gfpnet.make_network("paper-oneshot").half().float().state_dict()
     assert all(torch.equal(fresh[key], value) for key, value in written.network.state_dict().items())
+
+
+def test_gfpnet_goes_on_from_weights_and_their_card_is_part_of_the_new_one(tmp_path: Path, monkeypatch) -> None:
+    run, _, _ = _gfpnet_run(monkeypatch)
+    start = tmp_path / "start.safetensors"
+    torch.manual_seed(7)
+    first = gfpnet.make_network("patch")
+    save_file({name: tensor.half() for name, tensor in first.state_dict().items()}, start)
+    start.with_suffix(".json").write_text('{"hours": 0.25}')
+    train_gfpnet(start=start, out=tmp_path / "net.safetensors")
+    train_gfpnet(out=tmp_path / "net.safetensors")
+    assert [written.extra for written in run.written] == [{"start": {"hours": 0.25}}, None]
+    gone_on, anew = (made.network.state_dict() for made in run.trained)
+    stored = first.half().float().state_dict()
+    assert all(torch.equal(stored[name], value) for name, value in gone_on.items())
+    assert not all(torch.equal(stored[name], value) for name, value in anew.items())
+    assert run.trained[0].checkpoint != run.trained[1].checkpoint
+    with pytest.raises(UnreadableFile, match=r"start\.safetensors holds no weights of a network 'paper-oneshot'"):
+        train_gfpnet("paper-oneshot", start=start)
 
 
 def test_patches_of_a_split_are_those_of_the_shipped_classes(monkeypatch) -> None:

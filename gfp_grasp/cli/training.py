@@ -216,7 +216,14 @@ def gfpnet(
     classes: Classes = None,
     data: Data = None,
     file: Out = None,
+    start: Annotated[
+        Path | None,
+        typer.Option(exists=True, dir_okay=False, help="Weights file to go on from; left out, training starts anew."),
+    ] = None,
     steps: Steps = None,
+    rate: Annotated[
+        float | None, typer.Option(help="Learning rate at first; left out, that of the shipped weights.")
+    ] = None,
     views: Views = 4,
     limit: LimitOfEach = None,
     device: Device = "cpu",
@@ -231,7 +238,10 @@ def gfpnet(
     if variant not in GFPNET_CONFIGS:
         raise InvalidOption(f"--variant is {variant!r}; legal are {', '.join(GFPNET_CONFIGS)}")
     chosen = cast(Variant, variant)
-    config = replace(GFPNET_CONFIGS[chosen], seed=seed, device=device, steps=steps or GFPNET_CONFIGS[chosen].steps)
+    default = GFPNET_CONFIGS[chosen]
+    config = replace(
+        default, seed=seed, device=device, steps=steps or default.steps, rate=default.rate if rate is None else rate
+    )
     with _bar(f"gfpnet {variant}", config.steps) as report:
         card = train_gfpnet(
             chosen,
@@ -241,6 +251,7 @@ def gfpnet(
             limit=limit,
             data=data,
             out=file,
+            start=start,
             runs=runs,
             workers=workers,
             report=report,

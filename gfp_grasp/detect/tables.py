@@ -141,7 +141,7 @@ def find_table(image: DepthImage, up: np.ndarray | None, *, sensor: SensorProfil
             break
         facing = np.abs(np.where(oriented[..., None], normals, 0.0) @ plane.normal) > np.cos(np.radians(_FACING_DEG))
         close = np.abs(plane.distances(points)) < slab_m
-        near = oriented & facing & close
+        near = free & facing & close
         if near.sum() < _LEAST_SHARE * oriented.sum():
             break
         count += 1

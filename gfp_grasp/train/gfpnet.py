@@ -6,11 +6,15 @@ one, b patches, n source points, m template points, k neighbours, c channels.
 
 from __future__ import annotations
 
+import hashlib
+import json
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
 import torch
+from safetensors import SafetensorError
+from safetensors.torch import load_file
 from torch import Tensor, nn
 
 from gfp_grasp.assets import data_dir
@@ -26,6 +30,7 @@ from gfp_grasp.deform import (
     make_network,
     solve_change,
 )
+from gfp_grasp.errors import UnreadableFile
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.register import FitConfig
 from gfp_grasp.scenes import shipped_families
@@ -109,6 +114,7 @@ def train_gfpnet(
     runs: Path = Path("runs"),
     workers: int = 1,
     fit: FitConfig = FitConfig(),
+    start: Path | None = None,
     report: Callable[[int, float], None] | None = None,
 ) -> Path:
     """Train one network, measure it on the validation split and write weights and card.
@@ -126,10 +132,15 @@ def train_gfpnet(
         runs: Folder of caches and checkpoints.
         workers: Processes that make labels.
         fit: Registration that labels start from.
+        start: Weights file of the same variant to go on from, whose card becomes a part of the new one; None starts
+            anew.
         report: Progress.
 
     Returns:
         Path of the card.
+
+    Raises:
+        UnreadableFile: `start` holds no weights of this variant.
     """
     config = config or GFPNET_CONFIGS[variant]
     classes = classes or (shipped_families() if library is None else library.categories)
@@ -139,12 +150,13 @@ def train_gfpnet(
     make = partial(make_labels, library=library, num_views=num_views, runs=runs, workers=workers, fit=fit, data=data)
     objects, counts = load_objects(partial(make, split="train", limit=limit), table)
     whole = variant == "patch"
+    made = f"{classes, num_views, limit, data, config, start and _sha256(start)}"
     network, hours = train(
-        make_network(variant),
+        _started(variant, start),
         augmented(shuffled(objects, config.batch)) if whole else shuffled(single_patches(objects), config.batch),
         partial(point_loss, table=table) if whole else paper_loss,
         config=config,
-        checkpoint=runs / "gfpnet" / f"{variant}.pt",
+        checkpoint=runs / "gfpnet" / f"{variant}_{hashlib.sha256(made.encode()).hexdigest()[:10]}.pt",
         report=report,
     )
     network = network.half().float()
@@ -164,7 +176,22 @@ def train_gfpnet(
         },
         hours=hours,
         metrics=_measure(network, held_out, table) if whole else measure_paper(network, single_patches(held_out)),
+        extra=None if start is None else {"start": json.loads(start.with_suffix(".json").read_text())},
     )
+
+
+def _started(variant: Variant, start: Path | None) -> nn.Module:
+    network = make_network(variant)
+    if start is not None:
+        try:
+            network.load_state_dict({name: tensor.float() for name, tensor in load_file(start).items()})
+        except (RuntimeError, SafetensorError) as error:
+            raise UnreadableFile(f"{start} holds no weights of a network {variant!r}: {error}") from error
+    return network
+
+
+def _sha256(path: Path) -> str:
+    return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
 def point_loss(network: nn.Module, batch: Batch, *, table: PrimitiveTable) -> Tensor:
