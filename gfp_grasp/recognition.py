@@ -20,7 +20,7 @@ _LEAST_SCORE = 1e-6
 # hidden every second one is, and of things that fell those whose class was not among the likely ones.
 _POOR_COST = 60.0
 _UNLIKELY = 0.005  # where the fit is poor, classes of this share of the score that counted as likely are fitted too,
-_MOST_CANDIDATES = 24  # but no more primitives than this
+_MOST_CANDIDATES = 16  # but no more primitives than this
 
 
 def recognise(detection: Detection, library: PrimitiveLibrary) -> Detection:
