@@ -181,7 +181,7 @@ def test_unknown_suffix_is_refused(mug, tmp_path):
 
 
 def test_scene_gives_one_completion_an_object():
-    _, image, _, _ = _see("bottle", split_seeds("bottle", "test")[3])
+    _, image, _, _ = _see("bottle", split_seeds("bottle", "test")[1])
     done = complete_scene(image)
     assert [c.category for c in done] == ["bottle"]
     assert done[0].mesh.is_volume

@@ -10,8 +10,8 @@ from toy_bodies import T_WORLD_OBJECT, detection_of, fit_of, moved_view
 from toy_primitive import toy_cup_primitive
 
 from gfp_grasp.deform import DeformConfig, Method, deform, patch_layout, patch_unit_m
-from gfp_grasp.deform import gfpnet as networks
 from gfp_grasp.deform import shape as methods
+from gfp_grasp.deform import weights as networks
 from gfp_grasp.level import make_level_view
 from gfp_grasp.meshes import vertex_normals
 from gfp_grasp.transforms import invert_T, make_T, rotation_about

@@ -81,7 +81,8 @@ def test_a_sample_says_the_surface_where_the_points_are() -> None:
     assert sample.known.dtype == sample.distance.dtype == np.int8
     distance = sample.distance * (REACH / 127)
     assert np.abs(distance[sample.known[0] > 0]).mean() < 0.6
-    assert (distance[sample.known[1] > 60] > 0).mean() > 0.997  # what is free is outside, but for pixels of the outline
+    # What is free is outside, but for pixels of the outline.
+    assert (distance[sample.known[1] > 60] > 0).mean() > 0.9975
     assert np.mean(distance < 0) == pytest.approx(mesh.volume / _grid_volume(detection), rel=0.1)
 
 

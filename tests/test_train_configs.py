@@ -12,7 +12,7 @@ from safetensors.torch import save_file
 from torch import nn
 
 from gfp_grasp.assets import data_dir
-from gfp_grasp.deform.gfpnet import WEIGHTS
+from gfp_grasp.deform import WEIGHTS
 from gfp_grasp.errors import UnreadableFile
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.register import FitConfig
@@ -20,6 +20,7 @@ from gfp_grasp.scenes import shipped_families
 from gfp_grasp.shapes import FAMILIES
 from gfp_grasp.train import ProposalConfig, gfpnet, pcrnet, proposal
 from gfp_grasp.train.gfpnet import GFPNET_CONFIGS, measure_paper, paper_loss, patches_of_split, train_gfpnet
+from gfp_grasp.train.loop import training_key
 from gfp_grasp.train.pcrnet import PCRNET_CONFIG, train_pcrnet
 from gfp_grasp.train.proposal import train_proposal
 from gfp_grasp.train.proposal_batches import Targets
@@ -34,7 +35,7 @@ CONFIGS = {"proposal": ProposalConfig(), "pcrnet": PCRNET_CONFIG} | {
 @pytest.mark.parametrize("name", sorted(CONFIGS))
 def test_the_shipped_weights_were_trained_with_the_schedule_of_today(name: str) -> None:
     card = json.loads((data_dir("weights") / f"{name}.json").read_text(encoding="utf-8"))
-    assert asdict(CONFIGS[name]) == card.get("start", card)["config"]
+    assert asdict(CONFIGS[name]) == card["config"]
 
 
 def test_the_proposal_network_learns_from_views_of_many_heights_and_distances() -> None:
@@ -155,7 +156,8 @@ def test_gfpnet_is_trained_on_whole_objects_and_measured_on_a_quarter_of_them(mo
     assert [table.categories for table in loaded] == [("mug",)] * 2
     (made,), (written,) = run.trained, run.written
     assert made.config is GFPNET_CONFIGS["patch"]
-    assert (made.checkpoint.parent, made.checkpoint.stem[:6]) == (Path("r/gfpnet"), "patch_")
+    key = training_key(made.config, ("mug",), LIBRARY, 3, limit, None, fit, None)
+    assert made.checkpoint == Path(f"r/gfpnet/patch_{key}.pt")
     assert made.loss.func is gfpnet.point_loss
     assert written.path == data_dir("weights") / "gfpnet.safetensors"
     assert (written.metrics, written.hours, written.config) == ({"whole": 6}, 1.5, made.config)
@@ -178,6 +180,8 @@ def test_the_papers_networks_are_trained_on_single_patches(monkeypatch) -> None:
     train_gfpnet("paper-oneshot", config=config, out=out, data=Path("meshes"), report=print)
     (made,), (written,) = run.trained, run.written
     assert loaded[0].categories == shipped_families()
+    key = training_key(config, shipped_families(), LIBRARY, 4, None, Path("meshes"), FitConfig(), None)
+    assert made.checkpoint == Path(f"runs/gfpnet/paper-oneshot_{key}.pt")
     assert (made.loss, made.config, made.report) == (paper_loss, config, print)
     assert [tuple(part.shape) for part in next(made.batches(torch.Generator()))] == [(4, 3), (4, 4)]
     assert (written.path, written.metrics, written.data["shapes"]) == (out, {"patches": 9}, "laid out as meshes")
@@ -204,6 +208,9 @@ def test_gfpnet_goes_on_from_weights_and_their_card_is_part_of_the_new_one(tmp_p
     assert run.trained[0].checkpoint != run.trained[1].checkpoint
     with pytest.raises(UnreadableFile, match=r"start\.safetensors holds no weights of a network 'paper-oneshot'"):
         train_gfpnet("paper-oneshot", start=start)
+    start.with_suffix(".json").unlink()
+    with pytest.raises(UnreadableFile, match=r"start\.safetensors has no card start\.json beside it"):
+        train_gfpnet(start=start)
 
 
 def test_patches_of_a_split_are_those_of_the_shipped_classes(monkeypatch) -> None:

@@ -19,7 +19,6 @@ from gfp_grasp.deform.template import (
 if TYPE_CHECKING:
     from gfp_grasp.deform.gfpnet import (
         BELIEF,
-        WEIGHTS,
         Levers,
         PaperNet,
         PatchAnswer,
@@ -30,6 +29,7 @@ if TYPE_CHECKING:
         make_network,
         solve_change,
     )
+    from gfp_grasp.deform.weights import WEIGHTS, read_network
 
 __all__ = [
     "BELIEF",
@@ -57,6 +57,7 @@ __all__ = [
     "make_patches",
     "patch_layout",
     "patch_unit_m",
+    "read_network",
     "solve_change",
     "stand_on",
     "stood",
@@ -65,21 +66,26 @@ __all__ = [
 
 # These bring torch, and so come with the first use of one of them.
 _WITH_TORCH = {
-    "BELIEF",
-    "WEIGHTS",
-    "Levers",
-    "PaperNet",
-    "PatchAnswer",
-    "PatchNet",
-    "Variant",
-    "fit_features",
-    "make_levers",
-    "make_network",
-    "solve_change",
+    **dict.fromkeys(
+        (
+            "BELIEF",
+            "Levers",
+            "PaperNet",
+            "PatchAnswer",
+            "PatchNet",
+            "Variant",
+            "fit_features",
+            "make_levers",
+            "make_network",
+            "solve_change",
+        ),
+        "gfpnet",
+    ),
+    **dict.fromkeys(("WEIGHTS", "read_network"), "weights"),
 }
 
 
 def __getattr__(name: str) -> object:
     if name in _WITH_TORCH:
-        return getattr(import_module("gfp_grasp.deform.gfpnet"), name)
+        return getattr(import_module(f"gfp_grasp.deform.{_WITH_TORCH[name]}"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -15,18 +15,14 @@ of its answer are a set of points with no tie to the rows of S.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Sequence
-from functools import lru_cache
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 import torch
-from safetensors.torch import load_file
 from torch import Tensor, nn
 
-from gfp_grasp.assets import data_file
 from gfp_grasp.deform.patches import MISFIT_SHARE, NUM_POSE_FEATURES, NUM_RESIDUALS, Patches
 from gfp_grasp.deform.template import patch_unit_m
 from gfp_grasp.errors import InvalidOption
@@ -315,35 +311,3 @@ def make_network(variant: Variant) -> nn.Module:
     if variant == "paper-oneshot":
         return PaperNet((64, 128, 512, 1024), iterations=1, dropout=0.0)
     raise InvalidOption(f"network is {variant!r}; 'patch', 'paper-iterative' or 'paper-oneshot' is expected")
-
-
-WEIGHTS = {"patch": "gfpnet", "paper-iterative": "gfpnet_paper", "paper-oneshot": "gfpnet_oneshot"}
-
-
-@lru_cache(maxsize=4)
-def load_network(variant: Variant) -> nn.Module:
-    """The shipped network of one variant, in evaluation mode, loaded once."""
-    network = make_network(variant)
-    state = load_file(data_file("weights", f"{WEIGHTS[variant]}.safetensors"))
-    network.load_state_dict({name: tensor.float() for name, tensor in state.items()})
-    return network.eval()
-
-
-@lru_cache(maxsize=4)
-def load_card(variant: Variant) -> dict[str, Any]:
-    """How the shipped weights came to be: command, seed, data, hours, metrics, sha256."""
-    return json.loads(data_file("weights", f"{WEIGHTS[variant]}.json").read_text())
-
-
-_LEAST_GAIN = 0.05
-
-
-def pays_on(name: str) -> bool:
-    """Whether the network that answers for each point may move a primitive of this name.
-
-    It may where it took at least a twentieth off what the fits of the validation split left over, as its card says, and
-    where the card says nothing, as of a class of one's own.
-    """
-    metrics = load_card("patch")["metrics"]
-    before, after = (metrics.get(f"{name}_error_{when}_mm") for when in ("before", "after"))
-    return before is None or after is None or after <= (1.0 - _LEAST_GAIN) * before

@@ -190,7 +190,7 @@ def _by_points(fit: FittedPrimitive, patches: Patches) -> tuple[np.ndarray, np.n
 
     A primitive on which the network gains nothing stays as it was fitted; it is told its sigma all the same.
     """
-    from gfp_grasp.deform.gfpnet import pays_on  # torch is loaded where it is needed only
+    from gfp_grasp.deform.weights import pays_on  # torch is loaded where it is needed only
 
     offsets, log_sigma, field = _per_point(patches, fit)
     sigma_m = _blend_sigma(patches, log_sigma, len(field))
@@ -215,7 +215,8 @@ def _per_point(patches: Patches, fit: FittedPrimitive) -> tuple[np.ndarray, np.n
     """Offsets (b, n, 3) in patch units, log sigma (b, n), and the displacement (v, 3) m by the change of the fit."""
     import torch
 
-    from gfp_grasp.deform.gfpnet import BELIEF, change_field, fit_features, load_network
+    from gfp_grasp.deform.gfpnet import BELIEF, change_field, fit_features
+    from gfp_grasp.deform.weights import load_network
 
     features = torch.tensor(fit_features(fit)[None], dtype=torch.float32)
     with one_thread(), torch.inference_mode():
@@ -231,7 +232,7 @@ def _predicted_sets(patches: Patches, config: DeformConfig) -> np.ndarray:
     """The point sets MS (b, n, 3) that one of the paper's networks predicts, patch units."""
     import torch
 
-    from gfp_grasp.deform.gfpnet import load_network
+    from gfp_grasp.deform.weights import load_network
 
     network = load_network("paper-iterative" if config.method == "gfpnet-paper" else "paper-oneshot")
     source, _, template, *_ = patch_tensors(patches)

@@ -92,19 +92,21 @@ def _neighbours(detection: Detection, config: GraspConfig) -> np.ndarray:
     points = points[np.linalg.norm(points - own.mean(axis=0), axis=1) < _REACH_M]
     if not len(points):
         return points
-    apart = KDTree(own).query(points, distance_upper_bound=config.neighbour_gap_m)[0]
-    return points[np.isinf(apart)]
+    return _apart(points, own, config.neighbour_gap_m)
 
 
 def _left_over(detection: Detection, surface: Surface, config: GraspConfig) -> np.ndarray:
     """The object's own points (n, 3) m that its completion does not come near, but for lone ones."""
-    own = np.asarray(detection.cloud.points)
-    away = np.isinf(KDTree(surface.points).query(own, distance_upper_bound=config.neighbour_gap_m)[0])
-    points = own[away]
+    points = _apart(np.asarray(detection.cloud.points), surface.points, config.neighbour_gap_m)
     if not len(points):
         return points
     together = KDTree(points).query_ball_point(points, config.neighbour_gap_m, return_length=True)
     return points[together >= _FEW]
+
+
+def _apart(points: np.ndarray, others: np.ndarray, gap_m: float) -> np.ndarray:
+    """Those of points (n, 3) m that are farther than a gap from all others (k, 3) m."""
+    return points[np.isinf(KDTree(others).query(points, distance_upper_bound=gap_m)[0])]
 
 
 # Surface this close to the first touch counts as touched: pads and real surfaces give way by about as much.

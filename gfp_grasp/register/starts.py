@@ -57,7 +57,7 @@ def proposed_starts(primitive: GenericPrimitive, evidence: LevelView, hypotheses
     found = [_proposed(primitive, evidence, likeliest, yaw) for yaw in _proposed_yaws(primitive, proposal)]
     if likeliest == "lying":  # which way its axis points is what the look errs in
         possible = ("lying", *possible)
-    return found + (make_starts(primitive, evidence, possible) if possible else [])
+    return found + make_starts(primitive, evidence, possible)
 
 
 def _proposed_yaws(primitive: GenericPrimitive, proposal: Proposal) -> np.ndarray:

@@ -5,7 +5,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -22,7 +21,7 @@ from gfp_grasp.parallel import Progress
 from gfp_grasp.shapes import get_family
 from gfp_grasp.train.classfree_data import SeenThing, cached_samples, draw_things, read_sample, seen_things
 from gfp_grasp.train.classfree_measure import measure_against_hull, position_errors_m, summarise_against_hull
-from gfp_grasp.train.loop import Batch, LoopConfig, train, write_weights
+from gfp_grasp.train.loop import Batch, LoopConfig, train, training_key, write_weights
 
 _NEAR = 2.0  # cells from the surface within which errors count most
 _FAR_WEIGHT = 0.1
@@ -99,7 +98,7 @@ def train_classfree(
         field_batches(samples, config),
         field_loss,
         config=config,
-        checkpoint=folder / f"{_key(config, without)}.pt",
+        checkpoint=folder / f"{training_key(config, sorted(without))}.pt",
         report=report,
     )
     assert isinstance(network, DistanceNet)
@@ -170,7 +169,3 @@ def field_loss(network: nn.Module, batch: Batch) -> Tensor:
         scale = error.detach() * torch.exp(-log_scale.float()) + log_scale.float()
         total = total + ((error + _SCALE_WEIGHT * scale) * weight).sum() / weight.sum()
     return total * 2 / len(batch)
-
-
-def _key(config: ClassfreeConfig, without: Sequence[str]) -> str:
-    return hashlib.sha256(repr((config, sorted(without))).encode()).hexdigest()[:10]

@@ -6,15 +6,12 @@ one, b patches, n source points, m template points, k neighbours, c channels.
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 
 import torch
-from safetensors import SafetensorError
-from safetensors.torch import load_file
 from torch import Tensor, nn
 
 from gfp_grasp.assets import data_dir
@@ -28,6 +25,7 @@ from gfp_grasp.deform import (
     Variant,
     make_levers,
     make_network,
+    read_network,
     solve_change,
 )
 from gfp_grasp.errors import UnreadableFile
@@ -35,7 +33,7 @@ from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.register import FitConfig
 from gfp_grasp.scenes import shipped_families
 from gfp_grasp.train.labels import make_labels
-from gfp_grasp.train.loop import Batch, LoopConfig, shuffled, train, write_weights
+from gfp_grasp.train.loop import Batch, LoopConfig, shuffled, train, training_key, write_weights
 from gfp_grasp.train.patch_data import Objects, PrimitiveTable, augmented, load_objects, single_patches
 
 _CHAMFER_SHARE = 0.7  # the paper's loss: 0.7 Chamfer distance + 0.3 Laplacian
@@ -140,23 +138,24 @@ def train_gfpnet(
         Path of the card.
 
     Raises:
-        UnreadableFile: `start` holds no weights of this variant.
+        UnreadableFile: `start` holds no weights of this variant, or has no card beside it.
     """
     config = config or GFPNET_CONFIGS[variant]
     classes = classes or (shipped_families() if library is None else library.categories)
     library = library or PrimitiveLibrary.shipped()
     table = PrimitiveTable.of(library, tuple(classes))
     torch.manual_seed(config.seed)
+    network, begun = (make_network(variant), None) if start is None else _begun(variant, start)
     make = partial(make_labels, library=library, num_views=num_views, runs=runs, workers=workers, fit=fit, data=data)
     objects, counts = load_objects(partial(make, split="train", limit=limit), table)
     whole = variant == "patch"
-    made = f"{classes, num_views, limit, data, config, start and _sha256(start)}"
+    key = training_key(config, table.categories, library, num_views, limit, data, fit, begun)
     network, hours = train(
-        _started(variant, start),
+        network,
         augmented(shuffled(objects, config.batch)) if whole else shuffled(single_patches(objects), config.batch),
         partial(point_loss, table=table) if whole else paper_loss,
         config=config,
-        checkpoint=runs / "gfpnet" / f"{variant}_{hashlib.sha256(made.encode()).hexdigest()[:10]}.pt",
+        checkpoint=runs / "gfpnet" / f"{variant}_{key}.pt",
         report=report,
     )
     network = network.half().float()
@@ -176,22 +175,16 @@ def train_gfpnet(
         },
         hours=hours,
         metrics=_measure(network, held_out, table) if whole else measure_paper(network, single_patches(held_out)),
-        extra=None if start is None else {"start": json.loads(start.with_suffix(".json").read_text())},
+        extra=None if begun is None else {"start": begun},
     )
 
 
-def _started(variant: Variant, start: Path | None) -> nn.Module:
-    network = make_network(variant)
-    if start is not None:
-        try:
-            network.load_state_dict({name: tensor.float() for name, tensor in load_file(start).items()})
-        except (RuntimeError, SafetensorError) as error:
-            raise UnreadableFile(f"{start} holds no weights of a network {variant!r}: {error}") from error
-    return network
-
-
-def _sha256(path: Path) -> str:
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+def _begun(variant: Variant, start: Path) -> tuple[nn.Module, dict[str, object]]:
+    """The network of a weights file, in training mode, and the card beside it."""
+    card = start.with_suffix(".json")
+    if not card.is_file():
+        raise UnreadableFile(f"{start} has no card {card.name} beside it: `gfp-grasp train gfpnet` writes both")
+    return read_network(variant, start).train(), json.loads(card.read_text())
 
 
 def point_loss(network: nn.Module, batch: Batch, *, table: PrimitiveTable) -> Tensor:

@@ -146,6 +146,11 @@ def write_weights(
     return card_path
 
 
+def training_key(*content: object) -> str:
+    """Ten hexadecimal digits for what a training is made from, so that a checkpoint is that of no other training."""
+    return hashlib.sha256(repr(content).encode()).hexdigest()[:10]
+
+
 def shuffled(parts: Batch, batch: int) -> Callable[[torch.Generator], Iterator[Batch]]:
     """Endless batches of samples drawn without replacement, pass after pass, from tensors of equal length."""
 

@@ -9,7 +9,6 @@ is, the answer is their mean, and its length says how sure it is.
 
 from __future__ import annotations
 
-import hashlib
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -19,7 +18,7 @@ from torch import Tensor, nn
 from gfp_grasp.detect import Look, ProposalNet, Prototypes, mixture
 from gfp_grasp.shapes import FAMILIES
 from gfp_grasp.train.calibration import calibrate, embedded, measure, measure_pose
-from gfp_grasp.train.loop import train, write_weights
+from gfp_grasp.train.loop import train, training_key, write_weights
 from gfp_grasp.train.proposal_batches import ProposalConfig, augmented_batches, make_targets
 from gfp_grasp.train.proposal_data import CACHE, Example, assorted_examples, class_examples
 from gfp_grasp.train.prototypes import cluster
@@ -107,7 +106,7 @@ def train_proposal(
         augmented_batches(targets, config),
         lambda network, batch: _loss(network, batch, config),
         config=config,
-        checkpoint=cache / f"proposal_{_key(config, classes)}.pt",
+        checkpoint=cache / f"proposal_{training_key(config, tuple(classes))}.pt",
         report=report,
     )
     assert isinstance(network, _WithProxies)
@@ -172,7 +171,3 @@ def _prototypes(network: ProposalNet, examples: Sequence[Example], seed: int) ->
         name: mixture([cluster(embedded(network, own[:: -(-len(own) // _MOST_VIEWS)]), seed=seed)], [1.0])
         for name, own in by_class.items()
     }
-
-
-def _key(config: ProposalConfig, classes: Sequence[str]) -> str:
-    return hashlib.sha256(repr((config, tuple(classes))).encode()).hexdigest()[:10]
