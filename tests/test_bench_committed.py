@@ -80,7 +80,7 @@ def test_figures_of_registrations_follow_from_their_rows():
             mine = [row for row in found if family in ("all", row.family) and row.start == start]
             assert registration._summarise(mine) == of_start
     assert report["settings"] == {
-        **asdict(RegistrationConfig(views=2, limit=30)),
+        **asdict(RegistrationConfig(views=2, limit=6)),
         "view": json_of(asdict(ViewsConfig())),
     }
 
