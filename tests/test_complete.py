@@ -71,7 +71,7 @@ def test_kinds_of_a_given_class_are_found_and_completed_as_what_they_are(kind):
         volumes.append(done.mesh.volume / truth.volume)
     assert len(seeds) == 4
     assert names.count(kind) >= (2 if kind == "bottle.jug" else 4)  # two views show no handle
-    assert max(errors) < 0.008
+    assert max(errors) < 0.0085
     if name != "stemmed":  # the wall of a glass is guessed
         assert volumes == pytest.approx(np.ones(len(seeds)), abs=0.2)
 

@@ -156,12 +156,41 @@ def test_clusters_within_six_centimetres_may_be_one_object_behind_an_occluder(ga
     assert (detection.cloud.points[:, 0].max() > 0.05) == (used == 2)
 
 
-def test_a_second_cluster_of_less_than_a_tenth_is_left_out_in_silence() -> None:
-    large, small = _surface((0.1, 0.1, 0.15), (0, 0, 0.08)), _surface((0.02, 0.02, 0.02), (0.15, 0, 0.08), count=400)
+@pytest.mark.parametrize(("count", "told"), [(60, None), (400, "9% of the points .* it would be|be 0.21 m long")])
+def test_a_second_cluster_of_less_than_a_tenth_is_left_out_and_told_where_it_is_much(
+    count: int, told: str | None
+) -> None:
+    large, small = _surface((0.1, 0.1, 0.15), (0, 0, 0.08)), _surface((0.02, 0.02, 0.02), (0.15, 0, 0.08), count=count)
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        detection = detect_single(np.vstack([large, small]), category="cup")
+        if told is not None:
+            with pytest.warns(UserWarning, match=told):
+                detection = detect_single(np.vstack([large, small]), category="cup")
+        else:
+            detection = detect_single(np.vstack([large, small]), category="cup")
     assert detection.cloud.points[:, 0].max() < 0.06
+
+
+SIDE = np.array([-1.5, 0.0, 0.1])
+
+
+def _strips(gap_m: float, *, count: int = 12) -> np.ndarray:
+    """A wall along x that is seen at a slant from SIDE: upright strips of points, each farther from the last."""
+    x = np.cumsum(gap_m * np.arange(1, count + 1))
+    z = np.linspace(0.02, 0.18, 80)
+    return np.array([(0.06 + a, 0.0, height) for a in x for height in z])
+
+
+def test_strips_of_a_surface_at_a_slant_are_one_object_where_the_viewpoint_tells_that_they_are_neighbours() -> None:
+    front = _surface((0.02, 0.1, 0.2), (0.0, 0, 0.1), count=6000)
+    points = np.vstack([front, _strips(0.006)])
+    with pytest.warns(UserWarning, match="hang apart|clusters"):
+        apart = detect_single(points, category="box")
+    assert apart.cloud.points[:, 0].max() < 0.25
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        whole = detect_single(points, viewpoint=SIDE, category="box")
+    assert whole.cloud.points[:, 0].max() == pytest.approx(points[:, 0].max())
 
 
 @pytest.mark.parametrize(("far", "words"), [(0.39, None), (0.52, "clusters")])

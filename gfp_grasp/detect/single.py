@@ -5,6 +5,8 @@ from __future__ import annotations
 import warnings
 
 import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import KDTree
 
 from gfp_grasp.camera import mask_of_points
@@ -26,8 +28,13 @@ _MIN_SHARE_IN_MASK = 0.1
 _CROWD_OF = 4000  # grid cells among which the neighbours of each are counted
 _SECOND_SHARE = 0.1  # a second cluster of this share of the first's surface is worth a warning
 # Multiples of the sensor's noise:
-_NEAR = 40.0  # clusters this near may be one object behind an occluder
+_NEAR = 40.0  # clusters this near may be one object behind an occluder,
+_BEHIND = 70.0  # and those this near that are beside each other in the picture one surface, seen at a slant
 _SAME_RANGE = 20 / 3  # a pixel sees a point when their ranges agree to this
+
+_BESIDE = 4.0  # of the angles between neighbouring rays
+_COMPANY = 4  # neighbouring rays to the same range, that a flying pixel does not have
+_LOST_SHARE, _LOST_EXTENT = 0.03, 1.1  # points left out are worth a warning where the others extend less by this
 
 _MAX_WIDTH = 0.3  # clusters that are farther apart are no single object; in the sensor's largest
 
@@ -72,7 +79,7 @@ def detect_single(
     support = _support(points, viewpoint, up, support_height, view, config)
     if support is not None:
         up = support.normal
-    mine = _object_points(points, support, config)
+    mine = _object_points(points, support, None if viewpoint is None else np.asarray(viewpoint, dtype=float), config)
     if viewpoint is not None:
         _refuse_viewpoint(np.asarray(viewpoint, dtype=np.float64), mine, config.sensor)
     if up is None:
@@ -111,20 +118,63 @@ def _support(
     return find_support(points, up, viewpoint=viewpoint, sensor=config.sensor)
 
 
-def _object_points(points: np.ndarray, support: SupportPlane | None, config: DetectConfig) -> np.ndarray:
+def _object_points(
+    points: np.ndarray, support: SupportPlane | None, viewpoint: np.ndarray | None, config: DetectConfig
+) -> np.ndarray:
     """Points of the object alone: above the support, in one cluster or in several near ones, no flying pixels."""
     if support is None:
         centres, cell_of = voxel_grid(points, VOXEL * config.sensor.sigma_m)
         labels = cluster_points(centres, config.sensor)[cell_of]
     else:
         labels = label_points(points, support, sensor=config.sensor, drop=False)
+    if viewpoint is not None:
+        labels = _joined_at_a_slant(points, labels, viewpoint, config.sensor)
     sizes = np.bincount(labels)[1:]
     if not sizes.size or sizes.max() < MIN_POINTS:
         height = "" if support is None else f" above the support at {support.height_m:.4g} m along up"
         raise NothingDetected(
             f"no {MIN_POINTS} points hang together{height}: is that height right, and is this the object?"
         )
-    return _without_flying(points[np.isin(labels, _chosen_clusters(points, labels, config.sensor))], config.sensor)
+    chosen = points[np.isin(labels, _chosen_clusters(points, labels, config.sensor))]
+    return _without_flying(chosen, viewpoint, config.sensor)
+
+
+def _joined_at_a_slant(
+    points: np.ndarray, labels: np.ndarray, viewpoint: np.ndarray, sensor: SensorProfile
+) -> np.ndarray:
+    """Labels of clusters, those joined that neighbouring rays saw near each other.
+
+    A surface at a slant, or behind a rim, comes back in strips that are wider apart than its points are elsewhere.
+    """
+    count = int(labels.max())
+    if count < 2:
+        return labels
+    tree, beside, _ = _rays(points, viewpoint)
+    first = int(np.bincount(labels[labels > 0]).argmax())
+    some = np.flatnonzero((labels > 0) & (labels != first))
+    some = some[:: -(-len(some) // 2000)]
+    near = [(a, b) for a, found in zip(some, tree.query_ball_point(tree.data[some], beside), strict=True) for b in found]
+    a, b = np.array(near).T
+    meet = (labels[b] > 0) & (np.linalg.norm(points[a] - points[b], axis=1) < _BEHIND * sensor.sigma_m)
+    ends = labels[a[meet]], labels[b[meet]]
+    graph = coo_array((np.ones(len(ends[0])), ends), shape=(count + 1, count + 1))
+    joined = connected_components(graph, directed=False)[1][labels]
+    answer = np.zeros_like(labels)
+    answer[labels > 0] = np.unique(joined[labels > 0], return_inverse=True)[1] + 1
+    return answer
+
+
+def _warn_of_lost(chosen: np.ndarray, points: np.ndarray) -> None:
+    """Warn where the chosen of the points above the support are fewer, and reach less far, than all of them."""
+    lost = 1.0 - len(chosen) / len(points)
+    extents_m, all_m = robust_extents(chosen), robust_extents(points)
+    if lost > _LOST_SHARE and (all_m > _LOST_EXTENT * extents_m).any():
+        axis = int((all_m - extents_m).argmax())
+        warnings.warn(
+            f"{lost:.0%} of the points hang apart from the others and are left out: with them the object would be "
+            f"{all_m[axis]:.3g} m long, not {extents_m[axis]:.3g} m; mend the crop, or give the viewpoint",
+            stacklevel=6,
+        )
 
 
 def _chosen_clusters(points: np.ndarray, labels: np.ndarray, sensor: SensorProfile) -> list[int]:
@@ -137,6 +187,7 @@ def _chosen_clusters(points: np.ndarray, labels: np.ndarray, sensor: SensorProfi
     ]
     if not others:
         _refuse_too_large(points[labels == first], sensor)
+        _warn_of_lost(points[labels == first], points[labels > 0])
         return [first]
     everything = points[np.isin(labels, [first, *others])]
     width_m = float(robust_extents(everything).max())
@@ -163,14 +214,31 @@ def _refuse_too_large(points: np.ndarray, sensor: SensorProfile) -> None:
         )
 
 
-def _without_flying(points: np.ndarray, sensor: SensorProfile) -> np.ndarray:
-    """Points whose surroundings are not much emptier than the object's: flying pixels hang in the air by themselves."""
+def _without_flying(points: np.ndarray, viewpoint: np.ndarray | None, sensor: SensorProfile) -> np.ndarray:
+    """Points whose surroundings are not much emptier than the object's: flying pixels hang in the air by themselves.
+
+    Those of a surface at a slant are far from each other, but at the range of some that neighbouring rays saw.
+    """
     cell_m = VOXEL * sensor.sigma_m
     centres, cell_of = voxel_grid(points, cell_m)
     some = centres[:: -(-len(centres) // _CROWD_OF)]
     crowd = KDTree(some).query_ball_point(centres, 4 * cell_m, return_length=True)
     dense = (crowd >= 0.2 * np.median(crowd))[cell_of]
+    if viewpoint is not None and not dense.all():
+        tree, beside, range_m = _rays(points, viewpoint)
+        for i in np.flatnonzero(~dense):
+            near = range_m[tree.query_ball_point(tree.data[i], beside)]
+            dense[i] = (np.abs(near - range_m[i]) < 4 * cell_m).sum() > _COMPANY
     return points[dense] if dense.sum() >= MIN_POINTS else points
+
+
+def _rays(points: np.ndarray, viewpoint: np.ndarray) -> tuple[KDTree, float, np.ndarray]:
+    """A tree of the unit rays to points (n, 3), how far apart in it neighbours may be, and their ranges (n,) m."""
+    sight = points - viewpoint
+    range_m = np.linalg.norm(sight, axis=1)
+    rays = sight / np.maximum(range_m[:, None], 1e-9)
+    tree = KDTree(rays)
+    return tree, _BESIDE * float(np.median(tree.query(_few(rays), k=2)[0][:, 1])), range_m
 
 
 def _refuse_viewpoint(viewpoint: np.ndarray, points: np.ndarray, sensor: SensorProfile) -> None:
