@@ -90,6 +90,8 @@ def test_floats_are_metres(tmp_path: Path) -> None:
         (CENTRED, MILLIMETRES, 1.0, InvalidView, "in millimetres it would be 0.549 m: divide by 1000"),
         (CENTRED, 10 * MILLIMETRES, 1.0, InvalidView, "in tenths of a millimetre it would be 0.549 m"),
         (CENTRED, MILLIMETRES, -1.0, InvalidOption, "depth_scale is -1.0"),
+        ({**CENTRED, "fx": -300.0}, MILLIMETRES, None, InvalidView, "json: focal lengths are -300.0.*positive$"),
+        ({"K": None}, MILLIMETRES, None, InvalidView, "K is None; 3 x 3 or nine numbers are expected"),
         (CENTRED, (MILLIMETRES // 4).astype(np.uint8), None, InvalidView, "8 bits and colours"),
         (CENTRED, np.zeros((24, 32, 3), np.uint8), None, InvalidView, "one channel of 16 bits"),
         (
@@ -114,7 +116,7 @@ def test_what_does_not_fit_is_refused_with_what_to_do(
 def test_a_file_that_is_no_picture_and_text_that_is_no_json_are_refused(tmp_path: Path) -> None:
     (tmp_path / "depth.png").write_bytes(b"\x89PNG nothing")
     (tmp_path / "k.json").write_text(json.dumps(CENTRED), encoding="utf-8")
-    with pytest.raises(UnreadableFile, match=r"depth\.png is not a readable picture"):
+    with pytest.raises(UnreadableFile, match=r"depth\.png is no picture in any known format"):
         read_depth(tmp_path / "depth.png", tmp_path / "k.json")
     (tmp_path / "k.json").write_text("fx: 3", encoding="utf-8")
     Image.fromarray(MILLIMETRES).save(tmp_path / "depth.png")

@@ -1,6 +1,7 @@
 """`gfp-grasp score`: every option arrives, and files are written where they were asked for."""
 
 from pathlib import Path
+from typing import ClassVar
 
 import pytest
 from recorded_calls import Recorder, recorded, rows_of, run
@@ -12,6 +13,8 @@ from gfp_grasp.score import ScoreConfig
 
 class FakeReport:
     """Two rows, and a file that says that it was written."""
+
+    settings: ClassVar[dict[str, list[str]]] = {"no_grip": ["jar-3", "can-7"], "too_heavy": []}
 
     def table(self) -> list[dict[str, str]]:
         return [{"completer": "own", "held": "3/4"}, {"completer": "oracle", "held": "4/4"}]
@@ -61,6 +64,11 @@ def test_score_hands_on_every_option_and_prints_its_table(
     printed = capsys.readouterr().out
     assert rows_of(printed) == ["own       │  3/4", "oracle    │  4/4"]
     assert f"open {tmp_path / '[b]' / 'index.html'}" in printed
+
+
+def test_objects_that_were_left_out_are_named(capsys: pytest.CaptureFixture[str]) -> None:
+    assert run("score --objects cup") == 0
+    assert capsys.readouterr().err == "note: left out, for no grasp fits the jaws: jar-3, can-7\n"
 
 
 def test_score_takes_all_completers_and_writes_nothing_where_nothing_is_said(

@@ -246,6 +246,29 @@ def test_a_completed_world_stands_among_the_same_clutter(folder):
     assert not true.objects[0].fixed
 
 
+def test_the_widest_of_the_clutter_are_taken_out_where_all_find_no_place(tmp_path):
+    for name, radius_m in (("plain", 0.03), ("slim", 0.02), ("wide", 0.43)):
+        mesh = trimesh.creation.cylinder(radius_m, 0.1, sections=24)
+        mesh.apply_translation((0, 0, 0.05))
+        mesh.export(tmp_path / f"can__{name}.ply")
+    task = task_of(str(tmp_path), clutter=3)
+    names = set()
+    for seed in range(6):
+        task.draw(np.random.default_rng(seed), number=0)
+        world = task.world()
+        assert world is not None
+        widest = max(float(np.ptp(part.vertices[:, 0])) for thing in world.objects for part in thing.parts)
+        assert widest == pytest.approx(0.06)  # what is 0.86 m wide leaves no place for any other
+        names.add(world.names)
+    assert names == {(TARGET, "clutter_0"), (TARGET, *(f"clutter_{i}" for i in range(3)))}
+
+
+def test_vehicles_are_no_objects_of_a_table():
+    task = task_of("traffic", limit=1)
+    with pytest.raises(InvalidOption, match="'car-3' of it is nothing that a table holds: take household families"):
+        task.draw(np.random.default_rng(0))
+
+
 def test_no_completion_or_none_that_can_be_simulated_is_no_grasp(folder, monkeypatch):
     task = task_of(folder, completer="own_completers:gives_up", **TINY)
     assert task.world() is None

@@ -74,8 +74,10 @@ def _notes(arrays: Mapping[str, np.ndarray]) -> tuple[str, ...]:
 
 def _T_world_camera(name: str, arrays: Mapping[str, np.ndarray]) -> np.ndarray:
     T = np.asarray(arrays.get("T_world_camera", np.eye(4)), dtype=np.float64)
-    if T.shape != (4, 4) or not np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-4):
-        raise InvalidView(f"{name}: T_world_camera must be a rigid (4, 4) transform, got shape {T.shape}")
+    if T.shape != (4, 4):
+        raise InvalidView(f"{name}: T_world_camera has shape {T.shape}; a rigid (4, 4) transform is expected")
+    if not np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-4):
+        raise InvalidView(f"{name}: the upper left 3 x 3 of T_world_camera is no rotation:\n{T[:3, :3]}")
     return checked_pose(T) if "T_world_camera" in arrays else T
 
 

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
-from PIL import Image
+from PIL import Image, UnidentifiedImageError
 
 from gfp_grasp.captures.capture import Capture
 from gfp_grasp.captures.read import read_array
@@ -43,6 +43,10 @@ def read_depth(path: str | Path, intrinsics: str | Path, *, depth_scale: float |
     depth = _read_picture(path)
     said = _read_json(Path(intrinsics))
     K = _matrix(Path(intrinsics).name, said)
+    try:
+        DepthImage(np.zeros((1, 1)), K, np.eye(4))
+    except InvalidView as error:
+        raise InvalidView(f"{Path(intrinsics).name}: {error}") from error
     _refuse_other_size(Path(intrinsics).name, said, depth.shape)
     unit_m, source = _unit(said, depth, depth_scale)
     far = float(np.median(depth[depth > 0])) if (depth > 0).any() else 0.0
@@ -66,6 +70,8 @@ def _read_picture(path: Path) -> np.ndarray:
     else:
         try:
             picture = np.asarray(Image.open(io.BytesIO(content)))
+        except UnidentifiedImageError as error:
+            raise UnreadableFile(f"{path.name} is no picture in any known format, whatever its suffix says") from error
         except (*READER_ERRORS, Image.DecompressionBombError) as error:
             raise UnreadableFile(f"{path.name} is not a readable picture: {error}") from error
     if picture.ndim != 2 or picture.dtype.kind not in "fiu" or picture.dtype.itemsize < 2:
@@ -98,7 +104,10 @@ def _matrix(name: str, said: Mapping[str, object]) -> np.ndarray:
         for key in _MATRICES:
             if key in said:
                 given = said[key]
-                K = np.asarray(given["data"] if isinstance(given, dict) else given, dtype=np.float64).reshape(3, 3)
+                K = np.asarray(given["data"] if isinstance(given, dict) else given, dtype=np.float64)
+                if K.size != 9:
+                    raise ValueError(f"{key} is {given!r:.60}; 3 x 3 or nine numbers are expected")
+                K = K.reshape(3, 3)
                 # Open3D writes column by column: then the last row is where the last column should be.
                 return K.T if not K[:2, 2].any() and K[2, :2].any() else K
         for centre in _CENTRES:

@@ -201,7 +201,7 @@ def view(
     objects: Annotated[
         str | None,
         typer.Option(
-            help="Instead: episodes with procedural families, household, traffic or all; a mesh file; a folder."
+            help="Instead: episodes with procedural families, or household (all) of them; a mesh file; a folder."
         ),
     ] = None,
     category: Annotated[str | None, typer.Option(help="Class of the object in the capture.")] = None,

@@ -1,7 +1,7 @@
 """`gfp-grasp score`: what a completer's grasps do to the true object."""
 
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, cast
 
 import typer
 
@@ -15,6 +15,7 @@ from gfp_grasp.cli.terminal import (
     Seed,
     Split,
     Workers,
+    err,
     gps_option,
     out,
     table,
@@ -78,6 +79,9 @@ def score(
     rows = report.table()
     headings = tuple(rows[0])
     table(headings, [tuple(row.values()) for row in rows])
+    for key, why in (("no_grip", "no grasp fits the jaws"), ("too_heavy", "the gripper cannot carry it")):
+        if left_out := cast("list[str]", report.settings.get(key)):
+            err.print(f"note: left out, for {why}: {', '.join(left_out)}", highlight=False, soft_wrap=True)
     if json_file is not None and journal is not None:
         report.write(json_file)
         journal.unlink(missing_ok=True)

@@ -40,7 +40,8 @@ LimitOfEach = Annotated[int | None, typer.Option("--limit", min=1, help="Most ob
 Most = Annotated[int, typer.Option("--limit", min=1, help="Most objects; families take turns.")]
 Split = Annotated[str, typer.Option(help="Split of the procedural families: train, val or test.")]
 Objects = Annotated[
-    str, typer.Option(help="Procedural families with commas between, household, traffic or all; a mesh file; a folder.")
+    str,
+    typer.Option(help="Procedural families with commas between, or household (all) of them; a mesh file; a folder."),
 ]
 Files = Annotated[bool, typer.Option("--files", help="Write the meshes of .xml to files beside it, not into itself.")]
 Gps = Annotated[

@@ -94,8 +94,9 @@ def attempted(
         return CollisionMesh(parts, error, config.engine, 0.0, notes), hurried
     raise DecompositionFailed(
         f"{_NAMES[config.engine]} gave no parts in {len(lost)} of {config.attempts} attempts within "
-        f"{config.time_limit_s:g} s ({'; '.join(lost) or 'no time for one'}): raise time_limit_s or "
-        f"memory_limit_mb, or simplify the mesh ({num_given} faces came, the solid made of them has {len(solid.faces)})"
+        f"{config.time_limit_s:g} s ({'; '.join(lost) or 'no time for one'}): raise time_limit_s "
+        f"(--time-limit) or memory_limit_mb, or simplify the mesh ({num_given} faces came, the solid made of them has "
+        f"{len(solid.faces)})"
     )
 
 

@@ -83,7 +83,7 @@ def decompose(
     _whole_hull(used)  # flat things are named as such, before any repair is tried
     tell("repairing")
     solid, repair_m = make_solid(used, time_limit_s=config.time_limit_s / 2)
-    made, hurried = attempted(solid, config, started, tell, cancel, num_given=len(used.faces))
+    made, hurried = attempted(solid, config, started, tell, cancel, num_given=len(mesh.faces))
     made = replace(made, seconds=time.monotonic() - started, notes={**made.notes, "repair_m": repair_m})
     if key is not None and not hurried:
         write_parts(key, made)

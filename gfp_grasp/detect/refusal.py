@@ -42,9 +42,12 @@ def no_table(image: DepthImage, *, num_planes: int, up: np.ndarray | None, senso
             f"no support plane in the depth picture: what it shows is {width_m:.2f} m across in all, as objects are "
             f"without their table: {_ALONE_TO}, or take the picture from farther away"
         )
+    why = "nothing in it is flat enough for one"
+    if num_planes:
+        why = f"of its {num_planes} planes there is nothing on any that is as small as an object"
     return NothingDetected(
-        f"no support plane in the depth picture: of its {num_planes} planes there is nothing on any that is as small "
-        f"as an object; the widest holds {share:.0%} of the points. Is a table in view, and is `up` its normal in the "
+        f"no support plane in the depth picture: {why}; the widest holds {share:.0%} of the points. "
+        "Is a table in view, and is `up` its normal in the "
         "world frame (up=None, --up auto, takes any plane that the camera looks down on)? For a single object, "
         f"{_ALONE_TO}"
     )

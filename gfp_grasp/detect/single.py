@@ -131,9 +131,10 @@ def _object_points(
         labels = _joined_at_a_slant(points, labels, viewpoint, config.sensor)
     sizes = np.bincount(labels)[1:]
     if not sizes.size or sizes.max() < MIN_POINTS:
-        height = "" if support is None else f" above the support at {support.height_m:.4g} m along up"
+        above = "" if support is None else " above the support"
+        advice = "is its height right, and" if support is not None else "are there more, from nearer by, and"
         raise NothingDetected(
-            f"no {MIN_POINTS} points hang together{height}: is that height right, and is this the object?"
+            f"no {MIN_POINTS} of the {len(points)} points hang together{above}: {advice} is this the object?"
         )
     chosen = points[np.isin(labels, _chosen_clusters(points, labels, config.sensor))]
     return _without_flying(chosen, viewpoint, config.sensor)
@@ -153,7 +154,9 @@ def _joined_at_a_slant(
     first = int(np.bincount(labels[labels > 0]).argmax())
     some = np.flatnonzero((labels > 0) & (labels != first))
     some = some[:: -(-len(some) // 2000)]
-    near = [(a, b) for a, found in zip(some, tree.query_ball_point(tree.data[some], beside), strict=True) for b in found]
+    near = [
+        (a, b) for a, found in zip(some, tree.query_ball_point(tree.data[some], beside), strict=True) for b in found
+    ]
     a, b = np.array(near).T
     meet = (labels[b] > 0) & (np.linalg.norm(points[a] - points[b], axis=1) < _BEHIND * sensor.sigma_m)
     ends = labels[a[meet]], labels[b[meet]]

@@ -97,15 +97,15 @@ class EnvConfig:
     """Keyword arguments of `GfpGraspEnv`; only str, int, float, bool and None, so that a spec goes through JSON.
 
     Attributes:
-        objects: Procedural families with commas between, "household", "traffic" or, for those whose classes ship,
-            "all"; a mesh file, or a folder of meshes.
+        objects: Procedural families with commas between, "household" (or "all") for all of those; a mesh file, or a
+            folder of meshes. Vehicles and the like are no objects of a table.
         gps: Folders of primitives of the user's own, with a colon between (a semicolon on Windows); "" for none.
         completer: Name, see `gfp_grasp.completers.get_completer`.
         detector: Name, see `gfp_grasp.detect.get_detector`; objects of an episode stand apart, which needs no network.
         world: "true" simulates the true object, "completed" the completion's convex parts in its place.
         split: Which seeds of a family: train, val or test.
         limit: Number of objects that are used, the first ones; 0 uses all.
-        clutter: Number of other objects that stand around the one to be grasped.
+        clutter: Number of other objects that stand around the one to be grasped; fewer where so many find no place.
         num_points: Rows of both clouds in the observation.
         image_width: Columns of the depth picture.
         image_height: Rows.

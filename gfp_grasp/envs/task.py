@@ -21,7 +21,7 @@ from gfp_grasp.envs.config import EnvConfig, TrialSettings
 from gfp_grasp.envs.episode import Episode, draw_episode
 from gfp_grasp.envs.margin import least_friction
 from gfp_grasp.envs.trial import run_trial
-from gfp_grasp.errors import GfpGraspError, InvalidOption
+from gfp_grasp.errors import GfpGraspError, InvalidOption, InvalidScene
 from gfp_grasp.scenes import TARGET, SceneObject, World, load_objects, place_clutter
 from gfp_grasp.types import Grasp, Outcome, TrueObject
 
@@ -179,7 +179,7 @@ class GraspTask:
             return truth, world, None, ()
         drawn = rng.integers(len(self.sources), size=self.config.clutter)
         others = [self._true_world_of(int(other))[0] for other in drawn]
-        T_start, *places = place_clutter([truth, *others], rng)
+        T_start, *places = _placed(truth, others, rng)
         # They are stuck to the table: hundreds of contacts of things at rest would take most of the time, and whatever
         # touches them has failed in any case.
         around = tuple(
@@ -195,6 +195,11 @@ class GraspTask:
                 truth = source.load(library=self.config.library)
                 world = World([SceneObject.of(truth, np.eye(4), name=TARGET)])
             except GfpGraspError as error:
+                if source.path is None:
+                    raise InvalidOption(
+                        f"objects is {self.config.objects!r}, and {source.name!r} of it is nothing that a table holds: "
+                        f"take household families, or files of your own ({error})"
+                    ) from error
                 advice = f"repair it or take it out of {self.config.objects!r}"
                 raise type(error)(f"object {source.name!r} cannot be simulated, {advice}: {error}") from error
             self._true_worlds[number] = truth, world
@@ -202,6 +207,16 @@ class GraspTask:
                 self._true_worlds.popitem(last=False)
         self._true_worlds.move_to_end(number)
         return self._true_worlds[number]
+
+
+def _placed(truth: TrueObject, others: list[TrueObject], rng: np.random.Generator) -> tuple[np.ndarray, ...]:
+    """Places of the object and of those around it; the widest of these are taken out where all find no place."""
+    while others:
+        try:
+            return place_clutter([truth, *others], rng)
+        except InvalidScene:
+            others.remove(max(others, key=lambda other: float(np.linalg.norm(other.mesh.extents[:2]))))
+    return place_clutter([truth], rng)
 
 
 def _give_back_memory() -> None:
