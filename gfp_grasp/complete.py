@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import time
 import warnings
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 import numpy as np
-import trimesh
 from numpy.typing import ArrayLike
 
+from gfp_grasp.answers import Clock, CompleteConfig, answer
 from gfp_grasp.arguments import checked_direction, checked_height, checked_place, checked_pose
 from gfp_grasp.clouds import order_points
-from gfp_grasp.collision import CollisionConfig
 from gfp_grasp.completion import CompletedScene, Completion
-from gfp_grasp.deform import DeformConfig, deform
 from gfp_grasp.detect import (
     DetectConfig,
     Detector,
@@ -25,60 +23,20 @@ from gfp_grasp.detect import (
     warn_of_a_plane_aside,
 )
 from gfp_grasp.errors import FitDiverged, InvalidOption, InvalidView, UnknownCategory
-from gfp_grasp.level import level_frame, make_level_view, mark_observed, move_detection
-from gfp_grasp.meshes import crossing_faces
+from gfp_grasp.level import level_frame, make_level_view, move_detection
 from gfp_grasp.parallel import one_thread
 from gfp_grasp.plugins import DEFAULT_DETECTOR
-from gfp_grasp.primitives import PrimitiveLibrary
-from gfp_grasp.recognition import SURE_SCORE, fit_likeliest, likeliest, recognise, sureness
-from gfp_grasp.register import FitConfig, part_is_seen
+from gfp_grasp.recognition import SURE_SCORE, class_is_given, likeliest, recognise, sureness
 from gfp_grasp.transforms import apply_T, invert_T
 from gfp_grasp.types import (
-    KEEP_RULES,
-    CompletedShape,
+    UNKNOWN,
     DepthImage,
     Detection,
-    FittedPrimitive,
-    LevelView,
     RangeImage,
     SensorProfile,
     View,
     get_sensor,
 )
-
-
-@dataclass(frozen=True)
-class CompleteConfig:
-    """Switches of a completion.
-
-    Attributes:
-        library: The classes that there are; those that ship by default.
-        fit: Registration of a primitive.
-        deform: Deformation of the fit.
-        rival_share: A class whose score is at least this share of the best class's is fitted too, and the better fit
-            decides. Where none of them fits well, less likely ones are tried.
-        subcategories: Fit the subcategories of each such class as well.
-        optional_parts: "card" keeps a part as the card of its class says; "seen" leaves out every part that no point
-            supports, "always" none.
-        collision: Budget of the convex parts, which are made at first access.
-    """
-
-    library: PrimitiveLibrary = field(default_factory=PrimitiveLibrary.shipped)
-    fit: FitConfig = field(default_factory=FitConfig)
-    deform: DeformConfig = field(default_factory=DeformConfig)
-    rival_share: float = 0.1
-    subcategories: bool = True
-    optional_parts: str = "card"
-    collision: CollisionConfig = field(default_factory=CollisionConfig)
-
-    def __post_init__(self) -> None:
-        if not isinstance(self.library, PrimitiveLibrary):
-            raise InvalidOption(f"library is a {type(self.library).__name__}; a PrimitiveLibrary is expected")
-        if not 0 < self.rival_share <= 1:
-            raise InvalidOption(f"rival_share is {self.rival_share}; a number in (0, 1] is expected")
-        if self.optional_parts not in ("card", *KEEP_RULES):
-            legal = ", ".join(("card", *KEEP_RULES))
-            raise InvalidOption(f"optional_parts is {self.optional_parts!r}; one of {legal} is expected")
 
 
 @one_thread()
@@ -252,66 +210,24 @@ def _complete(
     timings_s: dict[str, float],
 ) -> Completion:
     """Complete a detection that was found in some frame; the completion and its detection are in the world's."""
-    clock = _Clock(timings_s)
+    clock = Clock(timings_s)
     detection = recognise(detection, config.library)
-    if sureness(detection.scores, config.library) < SURE_SCORE:
-        told = ", ".join(f"{name} {score:.2f}" for name, score in likeliest(detection.scores, 3))
-        warnings.warn(f"no known class is likely ({told}); the best is completed all the same", stacklevel=4)
     clock.lap("detect")
     # Everything below runs in a frame tied to the object and the viewer, so that the answer moves with its input.
     view = make_level_view(detection, seed=seed)
     clock.lap("level")
-    fit = fit_likeliest(
-        view,
-        detection,
-        config.library,
-        config=config.fit,
-        rival_share=config.rival_share,
-        subcategories=config.subcategories,
+    shape = answer(view, detection, config, clock)
+    if shape.fit is not None and sureness(detection.scores, config.library) < SURE_SCORE:
+        told = ", ".join(f"{name} {score:.2f}" for name, score in likeliest(detection.scores, 3))
+        warnings.warn(f"no known class is likely ({told}); the best is completed all the same", stacklevel=4)
+    if shape.fit is None and not class_is_given(detection):
+        detection = replace(detection, category=UNKNOWN)
+    shape = shape.moved(T_world_found @ view.T_world_level)
+    return Completion(
+        replace(shape, timings_s=clock.laps),
+        move_detection(detection, T_world_found),
+        collision_config=config.collision,
     )
-    fit = _with_parts_seen(fit, view, config.optional_parts)
-    clock.lap("register")
-    deformed = deform(fit, view, config=config.deform)
-    if deformed.kept < 1 or config.deform.method == "none":
-        solid = _solid(fit)  # a fit that crosses itself is a rare thing, and to know it takes time
-        if solid is not fit:
-            fit, deformed = solid, deform(solid, view, config=config.deform)
-    clock.lap("deform")
-    faces = fit.primitive.faces
-    observed, sigma_m = mark_observed(
-        deformed.vertices, faces, view.cloud, sensor_sigma_m=view.sigma_m, sigma_m=deformed.sigma_m
-    )
-    clock.lap("mark")
-    T_world_level = T_world_found @ view.T_world_level
-    shape = CompletedShape(
-        mesh=trimesh.Trimesh(apply_T(T_world_level, deformed.vertices), faces.copy(), process=False),
-        observed=observed,
-        sigma_m=sigma_m,
-        fit=replace(fit, T_world_object=T_world_level @ fit.T_world_object),
-        timings_s=clock.laps,
-    )
-    return Completion(shape, move_detection(detection, T_world_found), collision_config=config.collision)
-
-
-def _with_parts_seen(fit: FittedPrimitive, view: LevelView, rule: str) -> FittedPrimitive:
-    """The fit without the optional parts that are to be seen and are not; the modes hold for the body that is left."""
-    missing = [
-        part.name
-        for part in fit.primitive.spec.optional_parts
-        if (part.keep if rule == "card" else rule) == "seen" and not part_is_seen(fit, part.name, view)
-    ]
-    body = fit.primitive.without(missing)
-    return fit if body is None or body is fit.primitive else replace(fit, primitive=body)
-
-
-def _solid(fit: FittedPrimitive) -> FittedPrimitive:
-    """The fit with its modes drawn back towards the mean until its surface does not cross itself."""
-    primitive, coefficients = fit.primitive, fit.coefficients
-    for attempt in range(12):
-        if len(crossing_faces(primitive.shape(coefficients, fit.scale), primitive.faces)) == 0:
-            return fit if attempt == 0 else replace(fit, coefficients=coefficients)
-        coefficients = 0.75 * coefficients
-    return replace(fit, coefficients=np.zeros_like(coefficients))
 
 
 def _check_category(category: str | None, config: CompleteConfig | None) -> None:
@@ -328,23 +244,6 @@ def _check_options(config: object, seed: object) -> None:
         raise InvalidOption(f"config is a {type(config).__name__}; a CompleteConfig is expected")
     if isinstance(seed, bool) or not isinstance(seed, (int, np.integer)) or seed < 0:
         raise InvalidOption(f"seed is {seed!r}; a whole number from 0 on is expected")
-
-
-class _Clock:
-    """Seconds by stage.
-
-    Args:
-        laps: Seconds of the stages before.
-    """
-
-    def __init__(self, laps: dict[str, float]) -> None:
-        self.laps = dict(laps)
-        self._last = time.perf_counter()
-
-    def lap(self, name: str) -> None:
-        now = time.perf_counter()
-        self.laps[name] = self.laps.get(name, 0.0) + now - self._last
-        self._last = now
 
 
 __all__ = ["CompleteConfig", "Completion", "complete_detection", "complete_scene", "complete_to_mesh"]

@@ -57,8 +57,18 @@ class Completion:
 
     @property
     def category(self) -> str:
-        """Class whose primitive was fitted, or the detection's."""
+        """Class whose primitive was fitted, or the detection's; `gfp_grasp.types.UNKNOWN` for a thing of no class."""
         return self.shape.fit.primitive.category if self.shape.fit else self.detection.category
+
+    @property
+    def made_by(self) -> str:
+        """ "primitive", "classfree", "hull" or "other", see `CompletedShape`."""
+        return self.shape.made_by
+
+    @property
+    def note(self) -> str:
+        """Why it is not what the likeliest class's primitive would have been; "" where it is."""
+        return self.shape.note
 
     @property
     def scores(self) -> Mapping[str, float]:

@@ -40,6 +40,11 @@ def recognise(detection: Detection, library: PrimitiveLibrary) -> Detection:
     return replace(detection, category=max(scores, key=lambda name: scores[name]), scores=scores)
 
 
+def class_is_given(detection: Detection) -> bool:
+    """Whether the class of a recognised detection was given: then no other has a score."""
+    return len(detection.scores) <= 1
+
+
 def sureness(scores: Mapping[str, float], library: PrimitiveLibrary) -> float:
     """Score of the best class, together with those it is easily taken for; 1 where no class was asked for."""
     together = [
@@ -61,8 +66,9 @@ def fit_likeliest(
     config: FitConfig,
     rival_share: float,
     subcategories: bool,
+    unlikely: bool = True,
 ) -> FittedPrimitive:
-    """The best fit of the likely primitives; of unlikely ones as well where none of those fits.
+    """The best fit of the likely primitives, and where none of those fits of unlikely ones.
 
     Args:
         view: What is fitted to.
@@ -71,12 +77,13 @@ def fit_likeliest(
         config: Registration of a primitive.
         rival_share: A primitive is likely whose probability is at least this share of the best one's.
         subcategories: Whether the subcategories of a class take part too.
+        unlikely: Whether unlikely primitives are fitted at all.
 
     Raises:
         FitDiverged: No primitive could be fitted.
     """
     best, failure, tried = None, None, 0
-    for share in (rival_share, _UNLIKELY * rival_share):
+    for share in (rival_share, _UNLIKELY * rival_share)[: 1 + unlikely]:
         candidates = candidate_primitives(detection, library, rival_share=share, subcategories=subcategories)
         candidates = candidates[:_MOST_CANDIDATES]
         if len(candidates) == tried:

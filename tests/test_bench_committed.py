@@ -16,6 +16,7 @@ from gfp_grasp.bench.completion import CompletionConfig
 from gfp_grasp.bench.hollow import HollowRow
 from gfp_grasp.bench.hostile import HostileConfig, HostileRow
 from gfp_grasp.bench.methods import FORMER_NAMES
+from gfp_grasp.bench.openset import report_of
 from gfp_grasp.bench.ready import ReadyConfig, by_group
 from gfp_grasp.bench.ready_rows import SceneRow, ViewRow
 from gfp_grasp.bench.registration import FitRow, RegistrationConfig
@@ -23,7 +24,7 @@ from gfp_grasp.bench.rows import CompletionRow
 from gfp_grasp.completers import COMPLETERS
 from gfp_grasp.envs import TrialSettings
 from gfp_grasp.score import Report, ScoreConfig, ScoreRow
-from gfp_grasp.train import CACHE, ViewsConfig
+from gfp_grasp.train import CACHE, OpenSetRow, ViewsConfig
 
 RESULTS = Path(__file__).parents[1] / "results"
 
@@ -69,6 +70,17 @@ def test_figures_of_hostile_meshes_follow_from_their_rows():
     report = committed("hostile")
     done = {(row["step"], row["number"]): HostileRow(**row) for row in reversed(report["trials"])}
     assert hostile._report(HostileConfig(), done) == report
+
+
+def test_figures_of_known_and_unknown_follow_from_their_rows():
+    report = committed("openset")
+    found = [OpenSetRow(**{name: _as_row(value) for name, value in row.items()}) for row in report["trials"]]
+    assert json_of([row.to_json() for row in found]) == report["trials"]
+    assert json_of({**report_of(found), "trials": report["trials"]}) == report
+
+
+def _as_row(value: object) -> object:
+    return tuple(value) if isinstance(value, list) else value
 
 
 def test_figures_of_registrations_follow_from_their_rows():

@@ -201,7 +201,13 @@ def test_the_true_size_is_the_height_and_the_mean_width():
 def test_the_papers_rows_are_told_the_class_and_the_sized_ones_the_size(name, fit, method):
     library = PrimitiveLibrary.shipped()
     size = methods._true_size(tilted(), library.primitive("mug"))
-    common = {"library": library, "deform": DeformConfig(method=method), "rival_share": 1.0, "subcategories": False}
+    common = {
+        "library": library,
+        "deform": DeformConfig(method=method),
+        "rival_share": 1.0,
+        "subcategories": False,
+        "fall_back": False,
+    }
     assert config_of(name) == (CompleteConfig(fit=fit(), **common), True)
     assert config_of(f"{name}-sized", tilted(), "mug") == (CompleteConfig(fit=fit(size=size), **common), True)
     assert f"{name}-sized" in METHODS
@@ -212,14 +218,15 @@ def fit_without(**switches: object) -> FitConfig:
 
 
 PLAIN = DeformConfig(method="none")
+ALWAYS = {"unknown_above": 1.0, "fall_back": False}  # what was there before the package answers with a primitive always
 OWN: dict[str, CompleteConfig] = {
     "registration": CompleteConfig(deform=PLAIN),
-    "gfs": CompleteConfig(deform=DeformConfig(method="gfs")),
-    "gfpnet-oneshot": CompleteConfig(deform=DeformConfig(method="gfpnet-oneshot")),
+    "gfs": CompleteConfig(deform=DeformConfig(method="gfs"), **ALWAYS),
+    "gfpnet-oneshot": CompleteConfig(deform=DeformConfig(method="gfpnet-oneshot"), **ALWAYS),
     "gfpnet": CompleteConfig(),
     "registration-no-modes": CompleteConfig(fit=fit_without(estimate_modes=False), deform=PLAIN),
     **{
-        f"gfpnet-paper-{m}": CompleteConfig(deform=DeformConfig(method="gfpnet-paper", iterations=m))
+        f"gfpnet-paper-{m}": CompleteConfig(deform=DeformConfig(method="gfpnet-paper", iterations=m), **ALWAYS)
         for m in (1, 2, 3, 4, 5, 6, 7)
     },
     "gfpnet-no-scale": CompleteConfig(fit=fit_without(estimate_scale=False)),
@@ -243,10 +250,10 @@ def test_a_row_of_the_package_differs_from_the_default_by_what_it_is_named_after
 
 def test_methods_come_in_the_order_of_the_table():
     told = [n + sized for n in ("icp", "pcrnet", "pcrnet-gfs", *PATCHED) for sized in ("", "-sized")]
-    assert ("truth", "partial", "observed", "mirror", *(f"told-{name}" for name in told), *OWN) == METHODS
+    assert ("truth", "partial", "observed", "mirror", "classfree", *(f"told-{name}" for name in told), *OWN) == METHODS
     assert list(SWITCHES) == list(OWN)[12:]
     own = ("told-icp", "registration", "gfs", "gfpnet-paper-5", "gfpnet")
-    assert ("truth", "partial", "observed", "mirror", *own) == BRIEF
+    assert ("truth", "partial", "observed", "mirror", "classfree", *own) == BRIEF
     assert {"registration", "gfs", "gfpnet-oneshot", "gfpnet"} <= set(CONFIGS)
 
 

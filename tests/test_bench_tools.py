@@ -11,7 +11,7 @@ from gfp_grasp.bench.ablation import AblationConfig, bench_ablation
 from gfp_grasp.bench.completion import CompletionConfig, bench_completion
 from gfp_grasp.bench.methods import BRIEF, METHODS, PROTOCOLS, config_of, in_sight, view_object
 from gfp_grasp.bench.speed import SIZES, bench_speed, bench_stability
-from gfp_grasp.drawing import write_bars, write_curves
+from gfp_grasp.drawing import write_bars, write_curves, write_operating_curve
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.meshes import sample_surface
 from gfp_grasp.shapes import make_shape
@@ -46,7 +46,7 @@ def test_every_method_has_a_config_or_needs_none():
     assert len(METHODS) == len(set(METHODS))
     assert set(BRIEF) <= set(METHODS)
     for name in METHODS:
-        if name not in ("truth", "partial", "observed", "mirror"):
+        if name not in ("truth", "partial", "observed", "mirror", "classfree"):
             config, tells_class = config_of(name, sight, "mug")
             assert tells_class == name.startswith("told-")
             assert (config.fit.size not in (None, (1.0, 1.0, 1.0))) == name.endswith("-sized")
@@ -73,6 +73,27 @@ def test_charts_are_drawings_with_every_row(tmp_path: Path):
     assert "none" not in words
     words = _words(write_curves({"3 layers": [3.0, 2.0, 1.5]}, tmp_path / "lines.svg", title="T", axis="iterations"))
     assert {"3 layers", "iterations", "1", "2", "3"} <= words
+
+
+def test_an_operating_curve_marks_the_threshold_that_was_chosen(tmp_path: Path):
+    points = [
+        {"threshold": 0.2, "lost": 0.3, "caught_mixture": 1.0},  # more is lost than is shown
+        {"threshold": 0.5, "lost": 0.1, "caught_mixture": 0.75},
+        {"threshold": 0.9, "lost": 0.05, "caught_mixture": 0.5},
+        {"threshold": 1.0, "lost": 0.0, "caught_mixture": 0.25},
+    ]
+    path = write_operating_curve({"plain": points}, 0.9, tmp_path / "curve.svg")
+    assert {"plain views, of no class: unknown", "20%", "75%"} <= _words(path)
+    root = ElementTree.parse(path).getroot()
+    (mark,) = (element for element in root.iter() if element.tag.endswith("circle"))
+    (line,) = (element for element in root.iter() if element.tag.endswith("polyline"))
+    places = [tuple(map(float, place.split(","))) for place in str(line.get("points")).split()]
+    assert len(places) == 3
+    assert (float(str(mark.get("cx"))), float(str(mark.get("cy")))) == places[1]
+    widths, heights = np.diff(places, axis=0).T
+    assert widths[0] == pytest.approx(widths[1])  # a twentieth of the known each
+    assert heights[0] == pytest.approx(heights[1])  # a quarter of the others each, upward
+    assert heights[0] < 0 < widths[0]
 
 
 def _words(path: Path) -> set[str]:

@@ -132,7 +132,11 @@ def test_true_mesh_comes_along_in_the_frame_of_the_points(tmp_path: Path) -> Non
         ({"points": np.array([["a", "b", "c"]])}, InvalidCloud, r"\(n, 3\)"),
         ({"points": POINTS, "mask": np.ones((4, 4))}, InvalidView, "no picture"),
         ({"points": POINTS, "up": np.ones(2)}, InvalidView, "three finite"),
-        ({"points": POINTS, "T_world_camera": np.ones((4, 4))}, InvalidView, "3 x 3 of T_world_camera is no rotation"),
+        (
+            {"points": POINTS, "T_world_camera": np.ones((4, 4))},
+            InvalidView,
+            "3 x 3 of T_world_camera is no rotation, and the pose not rigid",
+        ),
         ({"points": POINTS, "T_world_camera": np.eye(3)}, InvalidView, r"shape \(3, 3\); a rigid \(4, 4\)"),
         ({"points": POINTS, "T_world_camera": "pose"}, UnreadableFile, "pose"),
         ({"points": POINTS, "viewpoint": ["a", "b", "c"]}, UnreadableFile, "key"),

@@ -8,6 +8,7 @@ from recorded_calls import recorded, rows_of, run
 
 from gfp_grasp.bench import BRIEF, METHODS, AblationConfig, CompletionConfig, RegistrationConfig
 from gfp_grasp.primitives import PrimitiveLibrary
+from gfp_grasp.train import OpenSetConfig
 
 ROW = {"cd_m": 0.00456, "f_score": 0.9123, "iou": 0.5678, "scale_error_median": 0.0213, "ms": 41.6, "views": 7}
 PAIRED = {"pairs": 3, "ci95_m": (-0.000123, 0.000456), "gain_m": 0.000234, "gain_share": 0.0716, "wins": 0.652}
@@ -130,6 +131,29 @@ def test_registration_hands_on_every_option_and_prints_degrees_and_millimetres(
         "mug   │ box   │       1.3 │          │        3.5 │ 2.1% │    4.6 │         5% │ 18 │ 2 of 30"
     ]
     assert json.loads(json_file.read_text()) == report
+
+
+def test_openset_hands_on_every_option_and_prints_distances_beside_the_hull(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, json_file: Path
+) -> None:
+    figures = {"cd_m": 0.00456, "of_hull": 0.42, "worst_of_hull": 1.07}
+    hull = {"cd_m": 0.0108, "of_hull": 1.0, "worst_of_hull": 1.0}
+    row = {"views": 30, "unknown": 0.066, "class": figures, "classfree": figures, "answer": figures, "hull": hull}
+    report = {"rows": {"plain": {"known": row}}, "curve": {"plain": "points"}, "threshold": 0.9}
+    bench = recorded(monkeypatch, "gfp_grasp.bench.bench_openset", report)
+    drawn = recorded(monkeypatch, "gfp_grasp.drawing.write_operating_curve")
+    words = "bench openset --members 2 --mixtures 5 --workers 3 --json"
+    assert run(words, json_file, "--picture", tmp_path / "curve.svg") == 0
+    config = OpenSetConfig(members=2, mixtures=5)
+    assert bench.only == ((), {"config": config, "workers": 3, "progress": "bar of things"})
+    assert drawn.only == (({"plain": "points"}, 0.9, tmp_path / "curve.svg"), {})
+    near = "4.56 (0.42)"
+    assert rows_of(capsys.readouterr().out) == [
+        f"known  │    30 │    6.6% │ {near} │    {near} │ {near} │ 10.80 (1.00)"
+    ]
+    assert json.loads(json_file.read_text()) == report
+    assert run("bench openset") == 0
+    assert bench.calls[1] == ((), {"config": OpenSetConfig(), "workers": 1, "progress": "bar of things"})
 
 
 def test_detection_hands_on_every_option(

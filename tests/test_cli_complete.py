@@ -23,11 +23,12 @@ from gfp_grasp.scenes import BodyCheck
 CAPTURE = Capture("own", np.eye(3), viewpoint=np.array([1.0, 2.0, 3.0]), up=np.eye(3)[1], support_height=0.5)
 
 
-def completion(category: str, scores: dict[str, float], num_parts: int) -> Any:
+def completion(category: str, scores: dict[str, float], num_parts: int, note: str = "") -> Any:
     """What the command reads of a completion, a wedge on its side, and a recorder of its files."""
     return SimpleNamespace(
         category=category,
         scores=scores,
+        note=note,
         parts=[None] * num_parts,
         mesh=SimpleNamespace(vertices=WEDGE),
         detection=SimpleNamespace(up=np.array([0.0, 1.0, 0.0]), support=None),
@@ -181,7 +182,7 @@ def test_the_objects_of_a_picture_are_written_as_one_scene_and_warnings_become_n
     assert printed.err.splitlines()[-2:] == ["note: [a] UserWarning", "note: [a] RuntimeWarning"]
     assert rows_of(printed.out) == [
         "mug    │  0.50 │ 67 x 27 x 40 │  33% │     3 │      132",
-        "mug_2  │   nan │ 67 x 27 x 40 │  33% │    12 │      132",
+        "mug_2  │     - │ 67 x 27 x 40 │  33% │    12 │      132",
         "cup    │  1.00 │ 67 x 27 x 40 │  33% │     1 │      132",
     ]
     assert printed.out.splitlines()[-1] == "wrote the scene.xml, the scene.xml"
@@ -217,12 +218,14 @@ def test_what_a_user_may_not_expect_is_told(
         completion("mug", {"mug": 0.3, "cup": 0.704, "bottle": 0.1}, 3),
         completion("mug", {"mug": 0.6, "cup": 0.4}, 3),
         completion("bottle", {}, 3),
+        completion("unknown", {"mug": 0.2, "cup": 0.8}, 3, note="it is of no class"),
     )
     ways = (GaveWay(2, 1, 0.0036, 0.0, moved=True), GaveWay(0, 2, 0.0124, 0.0, moved=False))
     scene_of(monkeypatch, *objects, gave_way=ways)
     assert run("complete own.npz -o", tmp_path / "it.xml") == 0
     assert capsys.readouterr().err.splitlines() == [
         "note: mug is named by what fits best; the classifier says cup (0.70)",
+        "note: unknown: it is of no class",
         "note: bottle was cut back by 4 mm where it reached into mug_2",
         "note: mug and bottle overlap by 12 mm",
     ]

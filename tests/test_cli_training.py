@@ -10,7 +10,7 @@ import torch
 from recorded_calls import recorded, rows_of, run
 
 from gfp_grasp.primitives import BuildConfig, PrimitiveLibrary
-from gfp_grasp.train import GFPNET_CONFIGS, PCRNET_CONFIG, ClassfreeConfig, ProposalConfig
+from gfp_grasp.train import GFPNET_CONFIGS, PCRNET_CONFIG, ClassfreeConfig, OpenSetConfig, ProposalConfig
 
 MADE = SimpleNamespace(vertices=[0] * 5, modes=[0] * 2, parts=[0] * 3, part_errors_m=((1, 1), (0.00123, 0.0046)))
 
@@ -248,4 +248,19 @@ def test_training_of_the_class_free_completion_hands_on_every_option(
         ((), {**default, "config": ClassfreeConfig(), "report": "report"}),
     ]
     assert bars == [("classfree", 7), ("classfree", ClassfreeConfig().steps)]
+    assert capsys.readouterr().out == "[b]card.json\n[b]card.json\n"
+
+
+def test_training_of_known_and_unknown_hands_on_every_option(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("gfp_grasp.cli.training.track", lambda description: f"bar of {description}")
+    train = recorded(monkeypatch, "gfp_grasp.train.train_openset", Path("[b]card.json"))
+    assert run("train openset --file own.json --members 2 --mixtures 5 --workers 3") == 0
+    assert run("train openset") == 0
+    own = {"config": OpenSetConfig(members=2, mixtures=5), "out": Path("own.json"), "workers": 3}
+    assert train.calls == [
+        ((), {**own, "progress": "bar of things"}),
+        ((), {"config": OpenSetConfig(), "out": None, "workers": 1, "progress": "bar of things"}),
+    ]
     assert capsys.readouterr().out == "[b]card.json\n[b]card.json\n"

@@ -71,7 +71,7 @@ def test_options_of_coacd_are_its_own_by_default() -> None:
         "max_parts": 80,
         "max_vertices_per_part": None,
         "tolerance_m": None,
-        "engine": "coacd",
+        "engine": "auto",
     }
 
 

@@ -296,11 +296,23 @@ def test_torn_between_cup_and_mug_is_sure_and_between_cup_and_bottle_is_not():
 
 
 @pytest.mark.parametrize("kind", [2008, 2010, 2014])
-def test_a_thing_of_no_known_class_is_completed_with_a_warning(kind):
+def test_a_thing_of_no_known_class_is_unknown_and_says_why(kind):
     mesh = make_assorted(kind, 0)
     K, camera = intrinsics(320, 240, 35.0), look_at((0.45, 0.1, 0.4), mesh.bounds.mean(axis=0))
     image, index = render_mesh_view([mesh], T_world_camera=camera, K=K, width=320, height=240, table_height=0.0)
     cloud = cloud_of(image, index == 0)
-    with pytest.warns(UserWarning, match="no known class is likely"):
-        done = complete_to_mesh(cloud.points, viewpoint=cloud.viewpoint)
+    done = complete_to_mesh(cloud.points, viewpoint=cloud.viewpoint)
+    assert (done.category, done.made_by, done.fit) == ("unknown", "classfree", None)
+    assert "it is of no class with a probability of " in done.note
     assert done.mesh.is_volume
+    with pytest.warns(UserWarning, match="no known class is likely"):
+        named = complete_to_mesh(cloud.points, viewpoint=cloud.viewpoint, config=CompleteConfig(unknown_above=1.0))
+    assert named.made_by == "primitive"
+    errors = [
+        chamfer_m(
+            visible_surface(shape, 8192, np.random.default_rng(0)),
+            visible_surface(mesh, 8192, np.random.default_rng(1)),
+        )
+        for shape in (done.mesh, named.mesh)
+    ]
+    assert errors[0] < errors[1]

@@ -18,7 +18,7 @@ from gfp_grasp.detect import DetectConfig
 from gfp_grasp.errors import FitDiverged, InvalidOption
 from gfp_grasp.level import level_frame
 from gfp_grasp.transforms import apply_T, invert_T, make_T
-from gfp_grasp.types import FittedPrimitive, get_sensor
+from gfp_grasp.types import UNKNOWN, FittedPrimitive, get_sensor
 
 SENSOR = replace(get_sensor("tabletop"), sigma_m=0.002)
 
@@ -154,153 +154,70 @@ def test_a_detection_is_completed_where_it_is(completed: Recorder) -> None:
     assert completed.calls[1][0][2:] == (CompleteConfig(), 0)
 
 
-def test_seconds_are_counted_by_stage_and_stages_of_before_go_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    ticks = iter([10.0, 11.0, 13.0, 17.0])
-    monkeypatch.setattr("gfp_grasp.complete.time.perf_counter", lambda: next(ticks))
-    before = {"detect": 0.5}
-    clock = room._Clock(before)
-    for name in ("detect", "mark", "mark"):
-        clock.lap(name)
-    assert clock.laps == {"detect": 1.5, "mark": 6.0}
-    assert before == {"detect": 0.5}
-
-
 class Chain:
-    """Stages in the place of the real ones; the fit is a toy cup that was moved, and the deformation keeps a share."""
+    """Stages in the place of the real ones; the answer is a toy cup that was moved, or a box of no class."""
 
-    def __init__(self, patch: pytest.MonkeyPatch, kept: float, sure: float = 1.0) -> None:
+    def __init__(self, patch: pytest.MonkeyPatch, *, sure: float = 1.0, fitted: bool = True) -> None:
         primitive = toy_cup_primitive()
-        num = len(primitive.vertices)
-        self.detection = toy_completion(scores={"mug": 0.512, "cup": 0.488}).detection
-        self.view = SimpleNamespace(T_world_level=make_T(t=np.array([0.1, 0.0, 0.0])), cloud="cloud", sigma_m=0.0021)
-        T = make_T(t=np.array([0.0, 0.2, 0.0]))
-        self.fit = FittedPrimitive(primitive, T, np.ones(3), np.zeros(len(primitive.modes)), 0.001)
-        self.deformed = SimpleNamespace(kept=kept, vertices=np.zeros((num, 3)), sigma_m="sigma")
-        self.observed, self.sigma_m = np.arange(num) % 2 == 0, np.full(num, 0.003)
+        scored = toy_completion(scores={"mug": 0.512, "cup": 0.488})
+        self.detection = scored.detection
+        self.view = SimpleNamespace(T_world_level=make_T(t=np.array([0.1, 0.0, 0.0])))
+        fit = FittedPrimitive(
+            primitive, make_T(t=np.array([0.0, 0.2, 0.0])), np.ones(3), np.zeros(len(primitive.modes)), 0.001
+        )
+        self.shape = replace(scored.shape, fit=fit if fitted else None, note="a note")
         self.recognise = recorded(patch, "gfp_grasp.complete.recognise", self.detection)
         recorded(patch, "gfp_grasp.complete.sureness", sure)
         self.look = recorded(patch, "gfp_grasp.complete.make_level_view", self.view)
-        self.candidates = recorded(patch, "gfp_grasp.recognition.candidate_primitives", "candidates")
-        self.register = recorded(patch, "gfp_grasp.recognition.fit_best", self.fit)
-        self.deform = recorded(patch, "gfp_grasp.complete.deform", self.deformed)
-        self.mark = recorded(patch, "gfp_grasp.complete.mark_observed", (self.observed, self.sigma_m))
+        self.answer = recorded(patch, "gfp_grasp.complete.answer", self.shape)
 
-    def complete(self, **changes: Any) -> Completion:
-        config = CompleteConfig(rival_share=0.5, subcategories=False, **changes)
+    def complete(self, config: CompleteConfig = CompleteConfig()) -> Completion:
         T_world_found = make_T(t=np.array([0.0, 0.0, 0.3]))
         return room._complete("found", T_world_found, config, 7, timings_s={"detect": 5.0})  # type: ignore[arg-type]
 
 
 def test_stages_follow_each_other_and_the_answer_is_in_the_world_s_frame(monkeypatch: pytest.MonkeyPatch) -> None:
-    chain = Chain(monkeypatch, kept=1.0)
-    collision = CollisionConfig(max_parts=7)
-    made = chain.complete(collision=collision)
+    chain = Chain(monkeypatch)
+    config = CompleteConfig(collision=CollisionConfig(max_parts=7))
+    made = chain.complete(config)
     assert chain.recognise.only == (("found", CompleteConfig().library), {})
     assert chain.look.only == ((chain.detection,), {"seed": 7})
-    assert chain.candidates.only[1] == {"rival_share": 0.5, "subcategories": False}
-    assert chain.register.only == ((chain.view, "candidates"), {"config": CompleteConfig().fit})
-    assert chain.deform.only == ((chain.fit, chain.view), {"config": CompleteConfig().deform})
-    (vertices, faces, cloud), named = chain.mark.only
-    assert (vertices is chain.deformed.vertices, cloud) == (True, "cloud")
-    assert named == {"sensor_sigma_m": 0.0021, "sigma_m": "sigma"}
-    np.testing.assert_array_equal(faces, chain.fit.primitive.faces)
-    np.testing.assert_allclose(made.mesh.vertices, np.tile([0.1, 0.0, 0.3], (len(vertices), 1)))
-    np.testing.assert_array_equal(made.mesh.faces, faces)
+    (view, detection, own, clock), named = chain.answer.only
+    assert (view, detection, own, named) == (chain.view, chain.detection, config, {})
+    np.testing.assert_allclose(made.mesh.vertices, chain.shape.mesh.vertices + np.array([0.1, 0.0, 0.3]))
+    np.testing.assert_array_equal(made.mesh.faces, chain.shape.mesh.faces)
     np.testing.assert_allclose(made.T_world_object[:3, 3], (0.1, 0.2, 0.3))
-    np.testing.assert_array_equal(made.observed, chain.observed)
-    np.testing.assert_array_equal(made.sigma_m, chain.sigma_m)
+    np.testing.assert_array_equal(made.observed, chain.shape.observed)
+    np.testing.assert_array_equal(made.sigma_m, chain.shape.sigma_m)
     np.testing.assert_allclose(made.detection.cloud.points[:, 2] - chain.detection.cloud.points[:, 2], 0.3)
-    assert made.collision_config is collision
-    assert list(made.timings_s) == ["detect", "level", "register", "deform", "mark"]
+    assert (made.collision_config, made.category, made.note) == (config.collision, "cup", "a note")
+    assert made.timings_s is clock.laps
+    assert list(made.timings_s) == ["detect", "level"]
     assert 5.0 < made.timings_s["detect"] < 6.0
 
 
-@pytest.mark.parametrize(("kept", "method", "looked"), [(1.0, "gfpnet", 0), (0.9, "gfpnet", 1), (1.0, "none", 1)])
-def test_a_fit_that_may_cross_itself_is_looked_at_where_its_deformation_was_not_kept(
-    kept: float, method: Any, looked: int, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize(
+    ("scores", "category"), [({"mug": 0.512, "cup": 0.488}, UNKNOWN), ({"mug": 1.0}, "mug"), ({}, "mug")]
+)
+def test_what_no_primitive_was_fitted_to_is_of_no_class_unless_its_class_was_given(
+    scores: dict[str, float], category: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    chain = Chain(monkeypatch, kept)
-    better = replace(chain.fit, residual_m=0.002)
-    solid = recorded(monkeypatch, "gfp_grasp.complete._solid", better)
-    deform = CompleteConfig(deform=replace(CompleteConfig().deform, method=method)).deform
-    made = chain.complete(deform=deform)
-    assert len(solid.calls) == looked
-    assert [call[0][0] for call in chain.deform.calls] == [chain.fit, better][: 1 + looked]
-    assert all(call[1] == {"config": deform} for call in chain.deform.calls)
-    assert made.fit is not None
-    assert made.fit.residual_m == (0.002 if looked else 0.001)
-    chain = Chain(monkeypatch, kept)
-    recorded(monkeypatch, "gfp_grasp.complete._solid", chain.fit)
-    chain.complete(deform=deform)
-    assert len(chain.deform.calls) == 1
+    chain = Chain(monkeypatch, sure=0.2, fitted=False)
+    recorded(monkeypatch, "gfp_grasp.complete.recognise", replace(chain.detection, scores=scores))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        made = chain.complete()
+    assert (made.category, made.detection.category, made.scores) == (category, category, scores)
 
 
 @pytest.mark.parametrize(("sure", "warned"), [(0.49, 1), (0.5, 0)])
 def test_what_no_known_class_is_likely_for_is_completed_with_a_warning(
     sure: float, warned: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    chain = Chain(monkeypatch, 1.0, sure)
+    chain = Chain(monkeypatch, sure=sure)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
         chain.complete()
     told = [str(warning.message) for warning in caught]
     words = "no known class is likely (mug 0.51, cup 0.49); the best is completed all the same"
     assert told == [words] * warned
-
-
-def part(name: str, keep: str) -> Any:
-    return SimpleNamespace(name=name, keep=keep)
-
-
-@pytest.mark.parametrize(
-    ("rule", "unseen", "missing"),
-    [
-        ("card", {"lid", "handle"}, ["lid"]),
-        ("card", {"handle"}, []),
-        ("seen", {"lid", "handle"}, ["lid", "handle"]),
-        ("always", {"lid", "handle"}, []),
-    ],
-)
-def test_optional_parts_are_kept_by_the_rule(
-    rule: str, unseen: set[str], missing: list[str], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("gfp_grasp.complete.part_is_seen", lambda fit, name, view: name not in unseen)
-    whole = toy_cup_primitive()
-    body = replace(whole)
-    asked: list[Any] = []
-
-    class Primitive:
-        spec = SimpleNamespace(optional_parts=(part("lid", "seen"), part("handle", "always")))
-
-        def without(self, names: list[str]) -> Any:
-            asked.append(names)
-            return body if names else self
-
-    fit = FittedPrimitive(whole, np.eye(4), np.ones(3), np.zeros(len(whole.modes)), 0.001)
-    object.__setattr__(fit, "primitive", Primitive())
-    made = room._with_parts_seen(fit, "view", rule)  # type: ignore[arg-type]
-    assert asked == [missing]
-    assert (made.primitive is body) == bool(missing)
-    assert (made is fit) != bool(missing)
-
-
-def test_modes_are_drawn_back_until_the_surface_does_not_cross_itself(monkeypatch: pytest.MonkeyPatch) -> None:
-    primitive = toy_cup_primitive()
-    fit = FittedPrimitive(primitive, np.eye(4), np.ones(3), np.full(len(primitive.modes), 1.0), 0.001)
-
-    def crossing_times(times: int) -> Recorder:
-        answers = iter([[0]] * times + [[]] * 99)
-        asked = Recorder()
-        monkeypatch.setattr("gfp_grasp.complete.crossing_faces", lambda *a: asked(*a) or next(answers))
-        return asked
-
-    crossing_times(0)
-    assert room._solid(fit) is fit
-    asked = crossing_times(2)
-    np.testing.assert_allclose(room._solid(fit).coefficients, 0.75**2)
-    np.testing.assert_allclose(asked.calls[1][0][0], primitive.shape(np.full(5, 0.75), np.ones(3)))
-    asked = crossing_times(11)
-    np.testing.assert_allclose(room._solid(fit).coefficients, 0.75**11)
-    asked = crossing_times(50)
-    np.testing.assert_array_equal(room._solid(fit).coefficients, 0.0)
-    assert len(asked.calls) == 12

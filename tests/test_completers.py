@@ -200,8 +200,8 @@ def test_an_open_mesh_of_a_users_function_is_made_solid():
     assert completion.mesh.volume == pytest.approx(RADIUS_M * 2 * RADIUS_M * HEIGHT_M, rel=0.05)
 
 
-def test_only_those_that_look_at_points_alone_need_no_class():
-    assert [name for name in COMPLETERS if not needs_class(name)] == ["oracle", "observed", "mirror"]
+def test_those_that_fit_no_primitive_need_no_class():
+    assert [name for name in COMPLETERS if not needs_class(name)] == ["oracle", "observed", "mirror", "classfree"]
     assert needs_class("gfpnet")
     assert needs_class("own_completers:upright_box")
 
@@ -215,7 +215,7 @@ def test_a_function_that_returns_no_mesh_is_refused():
 @pytest.mark.parametrize(
     ("name", "message"),
     [
-        ("magic", "oracle, observed, mirror, icp, pcrnet, registration, gfs"),
+        ("magic", "oracle, observed, mirror, classfree, icp, pcrnet, registration, gfs"),
         ("no_such_module:complete", "cannot be imported"),
         ("own_completers:missing", "cannot be imported"),
         ("own_completers:NOT_A_FUNCTION", "is a int, not a function"),

@@ -216,7 +216,9 @@ def test_a_giant_is_refused_with_a_hint_at_its_unit():
 
 def test_nothing_above_a_wrong_height_is_said():
     points = np.asarray(_cylinder(0, 0).sample(2000))
-    with pytest.raises(NothingDetected, match=r"at 0\.5 m"):
+    with pytest.raises(
+        NothingDetected, match="of the 2000 points hang together above the support: is its height right"
+    ):
         detect_single(points, support_height=0.5, category="cup")
 
 

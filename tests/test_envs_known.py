@@ -1,7 +1,7 @@
 """The environment on episodes that are known: its defaults, its infos, what it asks of camera, detector and task."""
 
 from dataclasses import asdict
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pytest
@@ -148,7 +148,14 @@ def mask(*columns: int) -> np.ndarray:
     return mask
 
 
-def drawn(world=None, complete=lambda detection: ("completed", detection), detect=None, **how: Any):
+class Done(NamedTuple):
+    """Stands for a completion."""
+
+    detection: Any
+    note: str = ""
+
+
+def drawn(world=None, complete: Any = Done, detect=None, **how: Any):
     """An episode, in which the second of two detections is that of the object."""
     found = (Found(mask(3)), Found(mask(1, 2)))
     detect = detect or (lambda image, *, up: found if up.tolist() == [0, 0, 1] else ())
@@ -168,7 +175,7 @@ def test_an_episode_is_drawn_put_down_seen_and_completed(seen):
     ]
     assert (made.truth, made.randomisation, made.failure, made.notes) == (TRUTH, randomisation, "", "")
     assert made.detection is found[1]
-    assert made.completion == ("completed", found[1])
+    assert made.completion == Done(found[1])
     np.testing.assert_array_equal(made.T_world_object, POSE)
     np.testing.assert_allclose(made.true_mesh().center_mass, (POSE @ [*TRUTH.mesh.center_mass, 1])[:3])
     (_, how), (_, scene, camera), (_, sensor) = seen
@@ -199,6 +206,8 @@ def test_an_error_is_told_with_its_name_and_warnings_are_notes(seen):
     made, found = drawn(complete=complains)
     assert (made.detection, made.completion) == (found[1], None)
     assert (made.failure, made.notes) == ("FitDiverged: nothing fits", "far away; and small")
+    made, found = drawn(complete=lambda detection: Done(detection, "it is of no class"))
+    assert (made.failure, made.notes) == ("", "it is of no class")
     made, _ = drawn(detect=lambda image, up: (Found(mask(3)), Found(mask(0) & False)))
     assert made.detection is not None  # one pixel of the object is enough
     made, _ = drawn(detect=lambda image, up: (Found(mask(0) & False),))
@@ -218,10 +227,10 @@ def test_the_oracle_is_given_the_truth_where_it_lies(seen):
     class Told(Oracle):
         def __call__(self, detection, truth=None, collision=None):
             asked.append((truth, collision))
-            return "told"  # type: ignore[return-value]
+            return Done("told")  # type: ignore[return-value]
 
     made, _ = drawn(complete=Told())
-    assert made.completion == "told"
+    assert made.completion == Done("told")
     (truth, collision) = asked[0]
     np.testing.assert_allclose(truth.vertices, made.true_mesh().vertices)
     np.testing.assert_allclose(collision.parts[0].vertices, PART.vertices @ POSE[:3, :3].T + POSE[:3, 3])

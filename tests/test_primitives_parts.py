@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from toy_primitive import toy_cup_primitive
 
-import gfp_grasp.complete as completing
+import gfp_grasp.answers as completing
 from gfp_grasp.deform.template import _mirrors
 from gfp_grasp.errors import InvalidMesh, InvalidOption
 from gfp_grasp.primitives import read_primitive, save_primitive

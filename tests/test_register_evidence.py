@@ -313,7 +313,7 @@ def test_what_a_view_shows_nearer_along_one_end_hides_how_the_object_goes_on(col
 
 def test_without_a_straight_edge_nothing_is_known_beyond_what_faces_the_viewpoint():
     evidence, _, _ = _pillar(SIDE, above_m=0.2)
-    hidden = cut_off(evidence, straight=False)
+    hidden = cut_off(evidence, edge=None)
     assert hidden.cut is None
     assert hidden.silhouette is not None
     axis = evidence.points.mean(axis=0)
@@ -376,6 +376,21 @@ def test_a_few_wrong_normals_make_no_edge_of_the_straight_side_of_a_pillar():
     assert cut_off(replace(evidence, normals=normals)).cut is None
     normals = np.where(sides[:, None], toward, -toward)
     assert cut_off(replace(evidence, normals=normals)).cut is not None
+
+
+def test_a_faint_edge_is_one_of_a_surface_at_a_slant_or_where_less_of_the_outline_lies_on_it():
+    flat = np.random.default_rng(5).uniform(-0.06, 0.06, (20000, 2))
+    segment, axes = _facing_plate(flat[(flat[:, 0] < 0.03) & (np.hypot(*flat.T) < 0.06)])
+    sight = segment.viewpoint - segment.points
+    sight /= np.linalg.norm(sight, axis=1, keepdims=True)
+    across = np.cross(sight, axes[:, 1])
+    across /= np.linalg.norm(across, axis=1, keepdims=True)
+    for cosine, clear, faint in ((0.55, True, True), (0.45, False, True), (0.35, False, True), (0.25, False, False)):
+        tilted = replace(segment, normals=cosine * sight + np.sqrt(1 - cosine**2) * across)
+        assert (cut_off(tilted).cut is not None, cut_off(tilted, edge="faint").cut is not None) == (clear, faint)
+    cross, _ = _facing_plate(flat[np.abs(flat).min(axis=1) < 0.02])  # a third of its outline's extent
+    assert cut_off(cross).cut is None
+    assert cut_off(cross, edge="faint").cut is not None
 
 
 # ---- a handle

@@ -20,7 +20,7 @@ from gfp_grasp.register import (
     pcrnet_config,
 )
 from gfp_grasp.register.fit import try_circular
-from gfp_grasp.register.occlusion import _straight_edge, cut_off
+from gfp_grasp.register.occlusion import EDGES, _straight_edge, cut_off
 from gfp_grasp.register.posterior import shape_model
 from gfp_grasp.register.refine import evaluate_states, refine
 from gfp_grasp.register.starts import _frame, make_starts
@@ -211,7 +211,7 @@ def _hidden() -> LevelView:
 def test_what_hides_a_half_is_found_as_ever() -> None:
     view = _hidden()
     for straight in (True, False):
-        found = cut_off(view, straight=straight)
+        found = cut_off(view, edge="clear" if straight else None)
         assert found.silhouette is not None
         assert_known(f"cut off {straight}: free", found.silhouette.free_range_m > 0)
         assert_known(f"cut off {straight}: floor", np.minimum(found.floor_sigma_m, 9.0))
@@ -223,11 +223,11 @@ def test_what_hides_a_half_is_found_as_ever() -> None:
 @pytest.mark.parametrize(("count", "is_edge"), [(7, False), (8, True)])
 def test_an_edge_is_eight_pixels_long_at_least(count: int, is_edge: bool) -> None:
     outline = np.column_stack([np.arange(count), 2 * np.arange(count)])
-    found = _straight_edge(outline, np.ones(count, dtype=bool))
+    found = _straight_edge(outline, np.ones(count, dtype=bool), EDGES["clear"])
     assert (found is not None) == is_edge
     if found is not None:
         assert np.abs(found[0] @ [1.0, 2.0]) < 1e-9
-        assert _straight_edge(outline, np.arange(count) > 0) is None
+        assert _straight_edge(outline, np.arange(count) > 0, EDGES["clear"]) is None
 
 
 def test_the_network_of_pcrnet_is_the_papers_and_is_given_unit_clouds(cup_view: LevelView) -> None:

@@ -139,7 +139,7 @@ def test_a_cup_behind_a_board_is_completed_to_its_true_width_beyond_the_edge_of_
     whole = np.ptp(make_shape("cup", split_seeds("cup", "val")[index]).mesh.vertices, axis=0)
     fit = fit_primitive(seen, PrimitiveLibrary.shipped().primitive("cup"))
     R = fit.T_world_object[:3, :3]
-    assert (np.ptp(seen.cloud.points @ R, axis=0) / whole)[:2].min() < 0.8
+    assert (np.ptp(seen.cloud.points @ R, axis=0) / whole)[:2].min() < 0.85
     # Where free space is believed beyond the edge, they come out 4 to 9 % narrower.
     assert np.ptp(fit.vertices_world() @ R, axis=0)[:2] == pytest.approx(whole[:2], rel=0.025)
 

@@ -491,13 +491,16 @@ def test_a_direction_is_compared_with_the_cut_as_it_is_seen():
 # ---- what is asked in the end
 
 
-def _asked_for_an_occluder(monkeypatch, evidence, violations, costs, **changes: object) -> tuple[list[bool], float]:
+def _asked_for_an_occluder(
+    monkeypatch, evidence, violations, costs, *, foot: bool = False, found=("clear", "faint"), **changes: object
+) -> tuple[list[str | None], float]:
     """Which edges are asked for, and the cost of the answer, where fits have these costs, of free space and in all."""
     calls, next_cost, violation = [], iter(costs), iter(violations)
 
-    def cut_off(seen, *, straight):
-        calls.append(straight)
-        return replace(seen, cut=UP) if straight else seen
+    def cut_off(seen, *, edge):
+        calls.append(edge)
+        below = np.inf if foot else 0.002
+        return replace(seen, cut=UP, floor_sigma_m=(0.002, below)) if edge in found else seen
 
     def search(evidence, candidates, config):
         return Search(candidates[0][0], 0.0, [wedge_state(cost=next(next_cost), residual_m=0.001)])
@@ -505,6 +508,7 @@ def _asked_for_an_occluder(monkeypatch, evidence, violations, costs, **changes: 
     monkeypatch.setattr(fit_module, "cut_off", cut_off)
     monkeypatch.setattr(fit_module, "search_starts", search)
     monkeypatch.setattr(fit_module, "evaluate_free_space", lambda *_: next(violation))
+    monkeypatch.setattr(fit_module, "hidden_end", lambda *_: 0)
     fit = fit_best(evidence, [(wedge_primitive(), 0.0)], config=replace(LIGHT, roundness=False, **changes))
     return calls, fit.cost
 
@@ -515,14 +519,17 @@ def test_only_a_guessed_outline_is_taken_for_cut_off_and_only_by_what_is_clearly
     silhouette = guessed_silhouette(evidence.points, evidence.viewpoint, TABLETOP)
     guessed = replace(evidence, silhouette=silhouette)
     ask = partial(_asked_for_an_occluder, monkeypatch)
-    assert ask(guessed, [1.9], [50.0]) == ([], 50.0)
-    assert ask(guessed, [2.1, 2.1], [30.0, 25.1]) == ([True], 30.0)
-    assert ask(guessed, [2.1, 2.1], [30.0, 24.9]) == ([True], 24.9)
-    assert ask(guessed, [2.1, 2.1], [100.0, 87.1]) == ([True], 100.0)
-    assert ask(guessed, [2.1, 2.1], [100.0, 86.9]) == ([True], 86.9)
-    assert ask(guessed, [9.0, 7.9], [30.0, 24.9]) == ([True], 24.9)
-    assert ask(guessed, [9.0, 8.1], [30.0, 26.0, 25.1]) == ([True, False], 30.0)
-    assert ask(guessed, [9.0, 8.1], [30.0, 24.9, 19.8]) == ([True, False], 19.8)
+    assert ask(guessed, [0.9], [50.0], foot=True) == ([], 50.0)
+    assert ask(guessed, [1.1, 1.1], [30.0, 24.9], foot=True) == (["clear"], 24.9)
+    assert ask(guessed, [1.9, 1.9], [50.0], foot=False) == (["clear"], 50.0)  # an edge elsewhere is not worth a search
+    assert ask(guessed, [2.1, 2.1], [30.0, 25.1]) == (["clear"], 30.0)
+    assert ask(guessed, [2.1, 2.1], [30.0, 24.9]) == (["clear"], 24.9)
+    assert ask(guessed, [2.1, 2.1], [100.0, 87.1]) == (["clear"], 100.0)
+    assert ask(guessed, [2.1, 2.1], [100.0, 86.9]) == (["clear"], 86.9)
+    assert ask(guessed, [9.0, 7.9], [30.0, 24.9]) == (["clear"], 24.9)
+    assert ask(guessed, [9.0, 8.1, 7.9], [30.0, 26.0, 24.9]) == (["clear", "faint"], 24.9)
+    assert ask(guessed, [9.0, 8.1, 8.1], [30.0, 24.9, 19.8], found=()) == (["clear", "faint", None], 24.9)
+    assert ask(guessed, [9.0, 8.1, 8.1], [30.0, 24.9, 19.8, 14.7]) == (["clear", "faint", None], 14.7)
     assert ask(guessed, [], [50.0], occlusion=False) == ([], 50.0)
     assert ask(replace(guessed, silhouette=replace(silhouette, certain=True)), [], [50.0]) == ([], 50.0)
     assert ask(replace(guessed, silhouette=None), [], [50.0]) == ([], 50.0)

@@ -13,7 +13,7 @@ from safetensors.torch import load_file
 from torch import nn
 
 from gfp_grasp.errors import InvalidOption
-from gfp_grasp.train.loop import LoopConfig, _command, shuffled, train, write_weights
+from gfp_grasp.train.loop import LoopConfig, command_line, shuffled, train, write_weights
 
 CONFIG = LoopConfig(steps=1, batch=2, rate=0.01, bf16=False)
 
@@ -196,4 +196,4 @@ def test_a_module_that_is_run_is_named_as_a_user_would_type_it(monkeypatch: pyte
     monkeypatch.setattr("sys.argv", ["whatever", "x"])
     for name, command in (("gfp_grasp.cli.__main__", "python -m gfp_grasp.cli x"), ("a.b", "python -m a.b x")):
         monkeypatch.setattr(sys.modules["__main__"], "__spec__", type("Spec", (), {"name": name}))
-        assert _command() == command
+        assert command_line() == command

@@ -1,6 +1,7 @@
 """The panel beside the scene: its texts, its switches, and what they do."""
 
 import re
+from dataclasses import replace
 from typing import Any
 from xml.etree import ElementTree
 
@@ -55,6 +56,12 @@ def test_what_is_not_known_of_an_object_is_not_told() -> None:
     rows = dict(item_rows(toy_item(num_grasps=0)))
     assert list(rows) == [*("class", "confidence", "size", "seen", "sigma", "parts", "parts off by", "grasps", "time")]
     assert (rows["class"], rows["confidence"], rows["grasps"]) == ("mug", "the class was given", "none fits")
+    made = toy_completion(scores={"mug": 0.6, "cup": 0.4}, category="unknown")
+    doubted = replace(made, shape=replace(made.shape, note="it is of no class"))
+    doubted.__dict__["collision"] = made.collision
+    rows = dict(item_rows(toy_item(completion=doubted)))
+    assert (rows["class"], rows["note"]) == ("unknown", "it is of no class")
+    assert rows["confidence"] == "0.00 (mug 0.60, cup 0.40)"
     lone = item_rows(toy_item(completion=toy_completion(scores={"mug": 1.0})))
     assert dict(lone)["confidence"] == "1.00"
 

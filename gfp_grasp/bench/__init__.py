@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from gfp_grasp.bench.hollow import bench_hollow
     from gfp_grasp.bench.hostile import HostileConfig, bench_hostile
     from gfp_grasp.bench.methods import BRIEF, METHODS
+    from gfp_grasp.bench.openset import bench_openset
     from gfp_grasp.bench.primitives import bench_primitives
     from gfp_grasp.bench.ready import ReadyConfig, bench_ready
     from gfp_grasp.bench.ready_table import check_pages, ready_cells, ready_headings, write_pages
@@ -38,6 +39,7 @@ _HOMES = {
     "bench_detection": ("detection", "bench_detection"),
     "bench_hollow": ("hollow", "bench_hollow"),
     "bench_hostile": ("hostile", "bench_hostile"),
+    "bench_openset": ("openset", "bench_openset"),
     "bench_primitives": ("primitives", "bench_primitives"),
     "bench_ready": ("ready", "bench_ready"),
     "bench_registration": ("registration", "bench_registration"),
@@ -67,6 +69,7 @@ __all__ = [
     "bench_detection",
     "bench_hollow",
     "bench_hostile",
+    "bench_openset",
     "bench_primitives",
     "bench_ready",
     "bench_registration",

@@ -18,7 +18,7 @@ from gfp_grasp.camera import (
     sample_viewpoint,
 )
 from gfp_grasp.complete import CompleteConfig, complete_to_mesh
-from gfp_grasp.completers import CONFIGS, complete_as_observed, mirror_cloud
+from gfp_grasp.completers import CONFIGS, complete_as_observed, complete_without_class, mirror_cloud
 from gfp_grasp.completion import Completion
 from gfp_grasp.deform import DeformConfig, Method
 from gfp_grasp.detect import detect_single
@@ -183,7 +183,8 @@ def config_of(
         assert view is not None
         fit = rigid(size=_true_size(view, library.primitive(given)))
     deform = DeformConfig(method=method)
-    return CompleteConfig(library=library, fit=fit, deform=deform, rival_share=1.0, subcategories=False), True
+    config = CompleteConfig(library=library, rival_share=1.0, subcategories=False, fall_back=False)
+    return replace(config, fit=fit, deform=deform), True
 
 
 def _true_size(view: ObjectView, primitive: GenericPrimitive) -> tuple[float, float, float]:
@@ -209,6 +210,7 @@ _SIMPLE: Mapping[str, Callable[[ObjectView], trimesh.Trimesh | np.ndarray]] = {
     "partial": lambda view: view.cloud.points,
     "observed": lambda view: complete_as_observed(_detection(view)).mesh,
     "mirror": lambda view: mirror_cloud(_detection(view)),
+    "classfree": lambda view: complete_without_class(_detection(view)).mesh,
 }
 _PAPER: Mapping[str, tuple[Callable[..., FitConfig], Method]] = {
     "told-icp": (icp_config, "none"),
@@ -231,7 +233,7 @@ _OWN: Mapping[str, CompleteConfig] = {
     **{name: CONFIGS[name] for name in (UNDEFORMED, "gfs", "gfpnet-oneshot", "gfpnet")},
     "registration-no-modes": replace(SWITCHES["gfpnet-no-modes"], deform=DeformConfig(method="none")),
     **{
-        f"gfpnet-paper-{m}": CompleteConfig(deform=DeformConfig(method="gfpnet-paper", iterations=m))
+        f"gfpnet-paper-{m}": replace(CONFIGS["gfpnet-paper"], deform=DeformConfig(method="gfpnet-paper", iterations=m))
         for m in _ITERATIONS
     },
     **SWITCHES,

@@ -77,7 +77,9 @@ def _T_world_camera(name: str, arrays: Mapping[str, np.ndarray]) -> np.ndarray:
     if T.shape != (4, 4):
         raise InvalidView(f"{name}: T_world_camera has shape {T.shape}; a rigid (4, 4) transform is expected")
     if not np.allclose(T[:3, :3] @ T[:3, :3].T, np.eye(3), atol=1e-4):
-        raise InvalidView(f"{name}: the upper left 3 x 3 of T_world_camera is no rotation:\n{T[:3, :3]}")
+        raise InvalidView(
+            f"{name}: the upper left 3 x 3 of T_world_camera is no rotation, and the pose not rigid:\n{T[:3, :3]}"
+        )
     return checked_pose(T) if "T_world_camera" in arrays else T
 
 

@@ -4,6 +4,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING
 
 from gfp_grasp.classfree.grid import NUM_CHANNELS, REACH, Grid, channels, grid_around
+from gfp_grasp.classfree.hull import complete_hull, hull_of, refined
 
 if TYPE_CHECKING:
     from gfp_grasp.classfree.complete import complete_classfree, complete_level
@@ -16,9 +17,12 @@ __all__ = [
     "Grid",
     "channels",
     "complete_classfree",
+    "complete_hull",
     "complete_level",
     "grid_around",
+    "hull_of",
     "load_network",
+    "refined",
 ]
 
 # These bring torch, and so come with the first use of one of them.

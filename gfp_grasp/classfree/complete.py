@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import torch
 import trimesh
@@ -14,7 +12,6 @@ from gfp_grasp.classfree.surface import surface_from
 from gfp_grasp.deform import stood
 from gfp_grasp.level import make_level_view, mark_observed
 from gfp_grasp.parallel import one_thread
-from gfp_grasp.transforms import apply_T
 from gfp_grasp.types import CompletedShape, Detection, LevelView
 
 
@@ -35,9 +32,7 @@ def complete_classfree(detection: Detection, *, network: DistanceNet | None = No
         NoSurface: The network finds nothing solid around the points.
     """
     view = make_level_view(detection, seed=seed)
-    shape = complete_level(view, network=network)
-    vertices = apply_T(view.T_world_level, np.asarray(shape.mesh.vertices))
-    return replace(shape, mesh=trimesh.Trimesh(vertices, shape.mesh.faces, process=False))
+    return complete_level(view, network=network).moved(view.T_world_level)
 
 
 @one_thread()
@@ -54,7 +49,9 @@ def complete_level(view: LevelView, *, network: DistanceNet | None = None) -> Co
     observed, sigma_m = mark_observed(
         vertices, surface.faces, view.cloud, sensor_sigma_m=view.sigma_m, sigma_m=surface.sigma_m
     )
-    return CompletedShape(trimesh.Trimesh(vertices, surface.faces, process=False), observed, sigma_m)
+    return CompletedShape(
+        trimesh.Trimesh(vertices, surface.faces, process=False), observed, sigma_m, made_by="classfree"
+    )
 
 
 def distances(view: LevelView, grid: Grid, network: DistanceNet) -> tuple[np.ndarray, np.ndarray]:

@@ -190,6 +190,43 @@ def detection(
 
 
 @bench.command()
+def openset(
+    members: Annotated[int, typer.Option(min=1, help="Objects of each household class.")] = 8,
+    mixtures: Annotated[int, typer.Option(min=1, help="Things of each kind that is of no class.")] = 24,
+    picture: Annotated[
+        Path | None, typer.Option(dir_okay=False, help="Draw the operating curve to this .svg file.")
+    ] = None,
+    workers: Workers = 1,
+    json_file: JsonFile = None,
+) -> None:
+    """Things of classes and of none told apart: the operating curve, and how near to the truth the answers come."""
+    from gfp_grasp.bench import bench_openset
+    from gfp_grasp.drawing import write_operating_curve
+    from gfp_grasp.train import OpenSetConfig
+
+    report = bench_openset(config=OpenSetConfig(members, mixtures), workers=workers, progress=track("things"))
+    for views, rows in report["rows"].items():
+        headings = ("things", "views", "unknown", "class, mm", "class-free, mm", "answer, mm", "hull, mm")
+        cells = [
+            (
+                sort,
+                str(row["views"]),
+                f"{row['unknown']:.1%}",
+                *(_of_hull(row[k]) for k in ("class", "classfree", "answer", "hull")),
+            )
+            for sort, row in rows.items()
+        ]
+        table(headings, cells, title=f"{views} views")
+    if picture is not None:
+        write_operating_curve(report["curve"], report["threshold"], picture)
+    save_json(json_file, report)
+
+
+def _of_hull(figures: Mapping) -> str:
+    return f"{1000 * figures['cd_m']:.2f} ({figures['of_hull']:.2f})"
+
+
+@bench.command()
 def ablation(
     steps: Annotated[int, typer.Option(min=1, help="Steps of each network.")] = 200,
     limit: Annotated[int, typer.Option(min=1, help="Shapes of each family.")] = 60,

@@ -105,9 +105,18 @@ def complete(
     for name, completion, count in zip(names, completions, counts, strict=True):
         box = upright_box(np.asarray(completion.mesh.vertices), completion.detection.up)
         size_mm = " x ".join(f"{1000 * extent:.0f}" for extent in box.extents)
-        score = f"{completion.scores.get(completion.category, float('nan')):.2f}"
+        score = completion.scores.get(completion.category)
         milliseconds = f"{1000 * sum(completion.timings_s.values()):.0f}"
-        rows.append((name, score, size_mm, f"{completion.observed.mean():.0%}", str(count), milliseconds))
+        rows.append(
+            (
+                name,
+                "-" if score is None else f"{score:.2f}",
+                size_mm,
+                f"{completion.observed.mean():.0%}",
+                str(count),
+                milliseconds,
+            )
+        )
     table(("object", "score", "size, mm", "seen", "parts", "time, ms"), rows)
     lines = [*capture.notes, *_up_note(capture, up, completions), *_notes(completions, names)]
     for line in lines:
@@ -140,8 +149,11 @@ def _up_note(capture: "Capture", given: str | None, completions: Sequence["Compl
 
 
 def _notes(completions: Sequence["Completion"], names: Sequence[str]) -> Iterator[str]:
-    """What a user may not expect: classes that the fit chose against the classifier, and objects that gave way."""
+    """What a user may not expect: answers of no class, or against the classifier, and objects that gave way."""
     for name, completion in zip(names, completions, strict=True):
+        if completion.note:
+            yield f"{name}: {completion.note}"
+            continue
         likeliest = max(completion.scores, key=lambda word: completion.scores[word], default=completion.category)
         if likeliest != completion.category:
             says = f"{likeliest} ({completion.scores[likeliest]:.2f})"

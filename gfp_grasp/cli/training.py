@@ -315,6 +315,20 @@ def classfree(
     out.print(str(card), markup=False)
 
 
+@train.command()
+def openset(
+    file: Annotated[Path | None, typer.Option(help="Card to write; left out, the shipped one.")] = None,
+    members: Annotated[int, typer.Option(min=1, help="Objects of each household class.")] = 8,
+    mixtures: Annotated[int, typer.Option(min=1, help="Things of each kind that is of no class.")] = 24,
+    workers: Workers = 1,
+) -> None:
+    """What tells things of no class from things of a class; the networks and the primitives come first."""
+    from gfp_grasp.train import OpenSetConfig, train_openset
+
+    config = OpenSetConfig(members, mixtures)
+    out.print(str(train_openset(config=config, out=file, workers=workers, progress=track("things"))), markup=False)
+
+
 def _listed(classes: str | None) -> tuple[str, ...] | None:
     """The classes of a comma-separated list; None where there is no list."""
     return None if classes is None else tuple(name.strip() for name in classes.split(",") if name.strip())

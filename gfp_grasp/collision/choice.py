@@ -67,6 +67,8 @@ def collision_of(shape: CompletedShape, *, config: CollisionConfig = CollisionCo
         InvalidMesh: The mesh is flat or too small for MuJoCo.
         DecompositionFailed: CoACD had to run, and was lost in every attempt.
     """
+    if config.engine == "auto":
+        config = replace(config, engine="cuts" if shape.made_by == "classfree" else "coacd")
     deformed = _deformed(shape, config)
     if deformed is not None:
         return deformed if _is_true(deformed, shape, config) else _decomposed_or(deformed, shape, config)

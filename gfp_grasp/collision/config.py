@@ -25,16 +25,16 @@ class CollisionConfig:
         tolerance_m: 95 % of the surfaces of parts and mesh lie within this distance of each other. The fewest parts
             that achieve this are taken. None takes as many of max_parts as make a difference.
         engine: What splits a mesh that brings no parts of its own, or whose own parts miss their bound: "coacd", or
-            "cuts" for few plane cuts, in a fifth of a second.
+            "cuts" for few plane cuts, in a fifth of a second. "auto" is "cuts" for the class-free completion.
     """
 
     max_parts: int = 80
     max_vertices_per_part: int | None = None
     tolerance_m: float | None = None
-    engine: Literal["coacd", "cuts"] = "coacd"
+    engine: Literal["auto", "coacd", "cuts"] = "auto"
 
     def __post_init__(self) -> None:
-        _choice(self.engine, "engine", ("coacd", "cuts"))
+        _choice(self.engine, "engine", ("auto", "coacd", "cuts"))
         _whole(self.max_parts, "max_parts", 1, None)
         if self.max_vertices_per_part is not None:
             _whole(self.max_vertices_per_part, "max_vertices_per_part", 4, None, "; or None for no limit")

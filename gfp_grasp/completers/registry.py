@@ -1,4 +1,4 @@
-"""Completers by name, and those that fit nothing: hulls of the observed points, and the truth."""
+"""Completers by name, and those that fit no primitive: hulls of the observed points, a network, and the truth."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from functools import cached_property, partial
 
 import numpy as np
 import trimesh
-from scipy.spatial import QhullError
 
+from gfp_grasp.classfree import hull_of, refined
 from gfp_grasp.collision import within_bounds
 from gfp_grasp.complete import CompleteConfig, complete_detection
 from gfp_grasp.completion import Completion
@@ -21,7 +21,7 @@ from gfp_grasp.plugins import imported_function
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.register import icp_config, pcrnet_config
 from gfp_grasp.transforms import apply_T
-from gfp_grasp.types import CollisionMesh, CompletedShape, ConvexPart, Detection, TrueObject
+from gfp_grasp.types import UNKNOWN, CollisionMesh, CompletedShape, ConvexPart, Detection, TrueObject
 
 Completer = Callable[[Detection], Completion]
 
@@ -55,12 +55,8 @@ def mark_shape(mesh: trimesh.Trimesh, detection: Detection) -> CompletedShape:
     return CompletedShape(mesh, observed, sigma)
 
 
-# The edges of a hull are split into pieces of this length, so that some of its vertices are seen and others are not.
-_EDGE_M = 0.008
 # Share of the points, at both edges of the silhouette together, that tell how deep the object's middle lies.
 _SILHOUETTE_SHARE = 0.04
-# Points with less spread than this across their plane, as a share of the spread along it, are flat but for rounding.
-_FLAT = 1e-5
 # A viewer whose level distance from the points is less than this looks from straight above.
 _ABOVE_M = 1e-6
 
@@ -109,29 +105,24 @@ def mirror_cloud(detection: Detection) -> np.ndarray:
 
 
 def _complete_by_hull(points: np.ndarray, detection: Detection) -> Completion:
-    flat = f"{len(points)} points have no volume between them: a plane or a line has no hull"
-    spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
-    if len(points) < 4 or not spread[2] > _FLAT * spread[0]:
-        raise InvalidCloud(flat)
-    try:
-        hull = trimesh.convex.convex_hull(points)
-    except QhullError as error:
-        raise InvalidCloud(flat) from error
+    hull = hull_of(points)
     part = ConvexPart(np.asarray(hull.vertices), np.asarray(hull.faces))
     exact = CollisionMesh((part,), (0.0, 0.0, 0.0), "hull", 0.0)
-    return CompletionInParts(mark_shape(_refine(hull), detection), detection, exact)
+    return CompletionInParts(mark_shape(refined(hull), detection), detection, exact)
 
 
-def _refine(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
-    """The same solid, its edges split into pieces of at most _EDGE_M, without T-junctions."""
-    import manifold3d
+def complete_without_class(detection: Detection) -> Completion:
+    """The class-free completion; its category is `UNKNOWN`.
 
-    solid = manifold3d.Manifold(
-        manifold3d.Mesh64(np.asarray(mesh.vertices, dtype=np.float64), np.asarray(mesh.faces, dtype=np.uint64))
-    )
-    fine = solid.refine_to_length(_EDGE_M).to_mesh64()
-    refined = trimesh.Trimesh(fine.vert_properties[:, :3], fine.tri_verts.astype(np.int64), process=False)
-    return refined if refined.is_volume else mesh
+    Its convex parts come of plane cuts; CoACD's, in seconds or minutes: `completion.collide(CollisionConfig("coacd"))`.
+
+    Raises:
+        TooFewPoints: Too few points.
+        NoSurface: Nothing solid is found around the points.
+    """
+    from gfp_grasp.classfree import complete_classfree  # torch is loaded where it is needed only
+
+    return Completion(complete_classfree(detection), replace(detection, category=UNKNOWN))
 
 
 class Oracle:
@@ -163,21 +154,24 @@ class Oracle:
         return self(detection, mesh, replace(known, parts=parts))
 
 
-# Completers that fit a primitive, and how each of them does it.
+# What answers with a primitive whatever speaks against it.
+_ALWAYS = CompleteConfig(unknown_above=1.0, fall_back=False)
+# Completers that fit a primitive, and how each of them does it; the paper's have one whatever they see.
 CONFIGS: Mapping[str, CompleteConfig] = {
-    "icp": CompleteConfig(fit=icp_config(), deform=DeformConfig(method="none"), subcategories=False),
-    "pcrnet": CompleteConfig(fit=pcrnet_config(), deform=DeformConfig(method="none"), subcategories=False),
+    "icp": replace(_ALWAYS, fit=icp_config(), deform=DeformConfig(method="none"), subcategories=False),
+    "pcrnet": replace(_ALWAYS, fit=pcrnet_config(), deform=DeformConfig(method="none"), subcategories=False),
     "registration": CompleteConfig(deform=DeformConfig(method="none")),
-    "gfs": CompleteConfig(deform=DeformConfig(method="gfs")),
-    "gfpnet-oneshot": CompleteConfig(deform=DeformConfig(method="gfpnet-oneshot")),
-    "gfpnet-paper": CompleteConfig(deform=DeformConfig(method="gfpnet-paper")),
+    "gfs": replace(_ALWAYS, deform=DeformConfig(method="gfs")),
+    "gfpnet-oneshot": replace(_ALWAYS, deform=DeformConfig(method="gfpnet-oneshot")),
+    "gfpnet-paper": replace(_ALWAYS, deform=DeformConfig(method="gfpnet-paper")),
     "gfpnet": CompleteConfig(),
 }
-# Completers that look at the points alone: nobody has to load a network for them.
+# Completers that do not ask for the class.
 _WITHOUT_CLASS: Mapping[str, Completer] = {
     "oracle": Oracle(),
     "observed": complete_as_observed,
     "mirror": complete_by_mirror,
+    "classfree": complete_without_class,
 }
 COMPLETERS = (*_WITHOUT_CLASS, *CONFIGS)
 
@@ -187,11 +181,11 @@ def get_completer(name: str, *, library: PrimitiveLibrary | None = None) -> Comp
 
     Args:
         name: `observed` (hull of what was seen), `mirror` (hull of the cloud and its reflection in the vertical plane
-            through its middle that faces the camera), `icp` and `pcrnet` (the mean primitive, placed rigidly),
-            `registration` (the fitted primitive, undeformed), that deformed by `gfs` (active contour),
-            `gfpnet-oneshot` or `gfpnet-paper` (the paper's networks) or `gfpnet` (the package's method), `oracle` (the
-            true mesh; see `Oracle`), or `package.module:function`, a function of a Detection that returns a
-            trimesh.Trimesh in the world frame or a Completion.
+            through its middle that faces the camera), `classfree` (a network that knows no class), `icp` and `pcrnet`
+            (the mean primitive, placed rigidly), `registration` (the fitted primitive, undeformed), that deformed by
+            `gfs` (active contour), `gfpnet-oneshot` or `gfpnet-paper` (the paper's networks) or `gfpnet` (the package's
+            method), `oracle` (the true mesh; see `Oracle`), or `package.module:function`, a function of a Detection
+            that returns a trimesh.Trimesh in the world frame or a Completion.
         library: The classes that there are for the package's own completers; None for those that ship.
 
     Returns:
@@ -211,7 +205,7 @@ def get_completer(name: str, *, library: PrimitiveLibrary | None = None) -> Comp
 
 
 def needs_class(name: str) -> bool:
-    """Whether a completer, by name, looks at the class of its detection; one that does not runs without torch."""
+    """Whether a completer, by name, looks at the class of its detection."""
     return name not in _WITHOUT_CLASS  # a user's own may ask for the class
 
 

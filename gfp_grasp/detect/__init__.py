@@ -25,6 +25,7 @@ if TYPE_CHECKING:
         Prototypes,
         class_scores,
         classify,
+        distance_in,
         mixture,
         score_table,
         scores_in,
@@ -67,6 +68,7 @@ __all__ = [
     "clean_cloud",
     "detect_objects",
     "detect_single",
+    "distance_in",
     "estimate_sigma",
     "features",
     "find_support",
@@ -102,6 +104,7 @@ _WITH_TORCH = {
         ("Calibration", "Prototypes", "class_scores", "classify", "mixture", "score_table", "scores_in", "shares_in"),
         "classifier",
     ),
+    "distance_in": "classifier",
     **dict.fromkeys(
         (
             "FLOOR_M", "NUM_CHANNELS", "NUM_POINTS", "POOL_POINTS", "Look", "ProposalNet", "features", "look",

@@ -82,6 +82,11 @@ def scores_in(embedding: np.ndarray, library: PrimitiveLibrary) -> dict[str, flo
     return class_scores(embedding, library_prototypes(library), load_calibration())
 
 
+def distance_in(embedding: np.ndarray, library: PrimitiveLibrary) -> float:
+    """Distance (one less the cosine) of an embedded object (c,) from the nearest prototype of any class."""
+    return max(1.0 - max(float((own.vectors @ embedding).max()) for own in library_prototypes(library).values()), 0.0)
+
+
 def shares_in(embedding: np.ndarray, members: Sequence[GenericPrimitive]) -> dict[str, float]:
     """Probability of each primitive of one class, by its name, given that an embedded object (c,) is of that class.
 

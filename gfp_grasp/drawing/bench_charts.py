@@ -90,6 +90,53 @@ def write_curves(rows: Mapping[str, Sequence[float]], path: Path, *, title: str,
     return _write_chart(path, width, height, title, "Chamfer distance of the predicted patch to its label, mm", lines)
 
 
+# What an operating curve shows of things of no class, and how its lines are drawn.
+_CAUGHT = {
+    "caught_or_good_left_out": ("class left out: unknown, or good", ""),
+    "caught_mixture": ("of no class: unknown", ' stroke-dasharray="5 3"'),
+}
+_MOST_LOST = 0.2
+
+
+def write_operating_curve(curves: Mapping[str, Sequence[Mapping[str, float]]], threshold: float, path: Path) -> Path:
+    """Draw how many things of no class are caught against how many of a class are lost, over all thresholds.
+
+    Args:
+        curves: {views: points with "threshold", "lost" and the shares that are caught}, of `bench_openset`.
+        threshold: The one whose points are marked.
+        path: An .svg file.
+
+    Returns:
+        The path.
+    """
+    width, height, left, top = 820, 380, 60, 60
+    across, down = width - left - 390, height - top - 50
+
+    def at(point: Mapping[str, float], name: str) -> tuple[float, float]:
+        return left + across * point["lost"] / _MOST_LOST, top + down * (1 - point[name])
+
+    lines = [_text(left + across / 2, height - 10, "things of a class that are answered as unknown", anchor="middle")]
+    for k in range(5):
+        x, y = left + across * k / 4, top + down * (1 - k / 4)
+        lines.append(f'<line x1="{left}" x2="{left + across}" y1="{y:.1f}" y2="{y:.1f}" stroke="#ddd"/>')
+        lines.append(_text(left - 6, y + 4, f"{k / 4:.0%}", anchor="end"))
+        lines.append(_text(x, height - 30, f"{_MOST_LOST * k / 4:.0%}", anchor="middle"))
+    rows = [(views, name) for name in _CAUGHT for views in curves if name in curves[views][0]]
+    for number, (views, name) in enumerate(rows):
+        colour, (words, dashes) = _LINES[list(curves).index(views) % len(_LINES)], _CAUGHT[name]
+        shown = [point for point in curves[views] if point["lost"] <= _MOST_LOST]
+        drawn = " ".join(f"{x:.1f},{y:.1f}" for x, y in sorted(at(point, name) for point in shown))
+        lines.append(f'<polyline points="{drawn}" fill="none" stroke="{colour}" stroke-width="2"{dashes}/>')
+        for x, y in (at(point, name) for point in shown if point["threshold"] == threshold):
+            lines.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4" fill="{colour}"/>')
+        y = top + 20 * number
+        stroke = f'stroke="{colour}" stroke-width="2"{dashes}'
+        lines.append(f'<line x1="{width - 370}" x2="{width - 344}" y1="{y}" y2="{y}" {stroke}/>')
+        lines.append(_text(width - 336, y + 4, f"{views} views, {words}"))
+    subtitle = f"share caught over share lost, over all thresholds; the marks are those of {threshold:g}"
+    return _write_chart(path, width, height, "Known or unknown", subtitle, lines)
+
+
 def write_confusion(rows: Mapping[str, Sequence[float]], columns: Sequence[str], path: Path, *, title: str) -> Path:
     """Draw which class is named how often: a row a true class, a column a named one, the darker the more often.
 

@@ -129,8 +129,10 @@ def draw_episode(
             raise
         except GfpGraspError as error:
             failure = f"{type(error).__name__}: {error}"
-    notes = "; ".join(str(warning.message) for warning in caught if issubclass(warning.category, UserWarning))
-    return Episode(truth, drawn, T_world_object, image, detection, completed, failure, notes)
+    told = [str(warning.message) for warning in caught if issubclass(warning.category, UserWarning)]
+    if completed is not None and completed.note:
+        told.append(completed.note)
+    return Episode(truth, drawn, T_world_object, image, detection, completed, failure, "; ".join(told))
 
 
 def _look(

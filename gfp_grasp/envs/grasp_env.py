@@ -71,7 +71,7 @@ class GfpGraspEnv(gymnasium.Env[Observation, np.ndarray], EzPickle):
     | completer, world | str | as in the options |
     | completion_failed | bool | nothing was detected or completed; a step in the completed world is `no_grasp_found` |
     | completion_error | str | the error that ended detection, completion or its simulation; "" where none did |
-    | completion_notes | str | warnings given on the way |
+    | completion_notes | str | warnings given on the way, and why the likeliest class did not answer |
     | num_observed | int | points seen on the object, before they are thinned; 0 where nothing was detected |
 
     Options of the constructor are those of `gfp_grasp.envs.EnvConfig`, whose docstring tells what each means;

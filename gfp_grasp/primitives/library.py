@@ -6,6 +6,7 @@ import os
 from collections.abc import Iterable
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 from gfp_grasp.assets import data_dir
 from gfp_grasp.errors import UnknownCategory, UnreadableFile
@@ -22,10 +23,11 @@ class PrimitiveLibrary:
     Attributes:
         folders: Where the primitives lie; a class of a later folder replaces that of an earlier one with its
             subcategories.
+        left_out: Classes that the folders hold and the library does not.
     """
 
-    def __init__(self, *folders: str | os.PathLike[str]) -> None:
-        """Name the folders.
+    def __init__(self, *folders: str | os.PathLike[str], left_out: Iterable[str] = ()) -> None:
+        """Name the folders, and classes of them to leave out.
 
         Raises:
             UnreadableFile: One of them is no folder, or none was named.
@@ -36,6 +38,7 @@ class PrimitiveLibrary:
             if not Path(folder).is_dir():
                 raise UnreadableFile(f"{folder} is no folder: give one that `gfp-grasp gps build ... --out` wrote")
         self.folders = tuple(Path(folder).resolve() for folder in folders)
+        self.left_out = frozenset(left_out)
         self._paths: dict[str, Path] | None = None
 
     @classmethod
@@ -52,6 +55,16 @@ class PrimitiveLibrary:
     def from_option(cls, folders: str) -> PrimitiveLibrary:
         """The shipped primitives and those of folders in one text, with a colon (on Windows, a semicolon) between."""
         return cls.with_shipped(*filter(None, folders.split(os.pathsep)))
+
+    def without(self, *categories: str) -> PrimitiveLibrary:
+        """The same library without some classes and their subcategories.
+
+        Raises:
+            UnknownCategory: There is no such class.
+        """
+        for category in categories:
+            self._path(category)
+        return PrimitiveLibrary(*self.folders, left_out=self.left_out | set(categories))
 
     @property
     def categories(self) -> tuple[str, ...]:
@@ -95,21 +108,28 @@ class PrimitiveLibrary:
         return name in self._index()
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, PrimitiveLibrary) and self.folders == other.folders
+        return isinstance(other, PrimitiveLibrary) and self._key == other._key
 
     def __hash__(self) -> int:
-        return hash(self.folders)
+        return hash(self._key)
+
+    @property
+    def _key(self) -> tuple[tuple[Path, ...], frozenset[str]]:
+        return self.folders, self.left_out
 
     def __repr__(self) -> str:
-        return f"PrimitiveLibrary({', '.join(map(str, self.folders))})"
+        without = f" without {', '.join(sorted(self.left_out))}" if self.left_out else ""
+        return f"PrimitiveLibrary({', '.join(map(str, self.folders))}{without})"
 
     def __getstate__(self) -> dict[str, object]:
         # The package may lie elsewhere where the pickle is read; listings are made anew there.
         shipped = _shipped_folder()
-        return {"folders": tuple(None if folder == shipped else folder for folder in self.folders)}
+        folders = tuple(None if folder == shipped else folder for folder in self.folders)
+        return {"folders": folders, "left_out": self.left_out}
 
-    def __setstate__(self, state: dict[str, Iterable[Path | None]]) -> None:
+    def __setstate__(self, state: dict[str, Any]) -> None:
         self.folders = tuple(_shipped_folder() if folder is None else folder for folder in state["folders"])
+        self.left_out = state["left_out"]
         self._paths = None
 
     def _index(self) -> dict[str, Path]:
@@ -127,7 +147,10 @@ class PrimitiveLibrary:
                 for name in found:
                     if name.split(".")[0] not in paths:
                         raise UnreadableFile(f"{found[name]} is a subcategory of a class that no folder holds")
-            self._paths = dict(sorted(paths.items(), key=lambda item: item[0].split(".")))
+            kept = {name: path for name, path in paths.items() if name.split(".")[0] not in self.left_out}
+            if not kept:
+                raise UnknownCategory(f"no class is left of {', '.join(sorted(self.left_out))}: leave out fewer")
+            self._paths = dict(sorted(kept.items(), key=lambda item: item[0].split(".")))
         return self._paths
 
     def _path(self, name: str) -> Path:

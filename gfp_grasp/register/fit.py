@@ -11,6 +11,7 @@ from scipy.spatial import KDTree
 from gfp_grasp.errors import FitDiverged
 from gfp_grasp.level import make_level_view
 from gfp_grasp.register.config import FitConfig
+from gfp_grasp.register.length import hidden_end, settle_length
 from gfp_grasp.register.occlusion import behind_occluder, blocking_cost, cut_off
 from gfp_grasp.register.pruning import Search, search_starts, total_cost
 from gfp_grasp.register.refine import evaluate_free_space, refine
@@ -42,7 +43,7 @@ def part_is_seen(fit: FittedPrimitive, part: str, evidence: LevelView) -> bool:
 # Cost of free space from which on a straight edge of the cloud may be that of something nearer, and from which on any
 # edge may be. Of unhidden things of the validation split it is at most 2.6, or 6.7 with 3 mm of noise; of 30 bottles of
 # which half is hidden it is at least 2.1, mostly above 9.
-_SUSPECT = 2.0
+_SUSPECT, _FOOT_SUSPECT = 2.0, 1.0
 _OCCLUSION = 8.0
 # Negative log odds of something that hides a part, and the share of a poor fit's cost that may be chance; ours.
 _OCCLUDED_COST, _OCCLUDED_SHARE = 5.0, 0.13
@@ -96,6 +97,10 @@ def fit_best(
     best, primitive = found.best, found.primitive
     if config.roundness and config.refine:
         best = try_circular(best, primitive, evidence, config)
+    spread_m = None
+    end = hidden_end(best, primitive, evidence) if config.refine and config.thorough.estimate_scale else 0
+    if end:
+        best, spread_m = settle_length(best, primitive, evidence, config, end=end)
     others = [total_cost(state) for state in found.states if state.hypothesis != best.hypothesis]
     margin = min(others) / max(total_cost(best), 1e-9) if others else float("inf")
     return FittedPrimitive(
@@ -107,6 +112,7 @@ def fit_best(
         hypothesis=best.hypothesis,
         margin=max(margin, 1.0),
         cost=total_cost(best),
+        spread_m=spread_m,
     )
 
 
@@ -119,11 +125,12 @@ def _behind_something(
     object that it hides a part of is the likelier one.
     """
     evidence = seen
-    for straight, least in ((True, _SUSPECT), (False, _OCCLUSION)):
-        if _beyond_silhouette(found, evidence, config) <= least:
+    for edge, least in (("clear", _FOOT_SUSPECT), ("faint", _OCCLUSION), (None, _OCCLUSION)):
+        beyond = _beyond_silhouette(found, evidence, config)
+        if beyond <= least:
             break
-        cut = cut_off(seen, straight=straight)
-        if straight and cut.cut is None:
+        cut = cut_off(seen, edge=edge)
+        if edge and (cut.cut is None or (beyond <= _SUSPECT and np.isfinite(cut.floor_sigma_m[1]))):
             continue
         try:
             other = search_starts(cut, candidates, config)

@@ -7,7 +7,9 @@ edge: behind a box, a book, another bottle.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from scipy import ndimage
@@ -25,18 +27,31 @@ _NUM_SIGHTS = 120  # lines of sight along which a surface is looked for
 # A share of what an occluder cuts off is out of sight; ours, not measured: less than a seventh seldom is.
 _TRUNCATED_SHARE = 0.15
 _TRUNCATION_COST = 30.0
-_FACING_COSINE = 0.5
+_FACING_COSINE = 0.5  # from which on a surface faces the viewpoint
 _PAIRS = 300
 _ON_LINE_PX = 1.5
 _BEYOND = 0.02  # share of the outline that may lie beyond a straight edge, for noise
-_FACING_SHARE = 0.6  # share of the outline on a straight edge that must face the viewpoint
-_CONTACT = 0.4  # share of the outline's extent along a straight edge that lies on it
+_CONTACT = 0.4  # share of the outline's extent along what is beside something nearer that lies on it
+
+
+class _Edge(NamedTuple):
+    """What a straight edge of an occluder is known by: how much the surface beside it faces the viewpoint (cosine),
+    for which share of the outline on it, and which share of the outline's extent along it lies on it.
+    """
+
+    facing: float
+    share: float
+    contact: float
+
+
+# First what few outlines have of themselves; then what a surface seen at a slant, or a narrow one, leaves of an edge.
+EDGES: Mapping[str, _Edge] = {"clear": _Edge(0.5, 0.6, 0.4), "faint": _Edge(0.3, 0.4, 0.3)}
 _LEAST_EDGE_PX = 8  # pixels beside the object that see something nearer
 _BEYOND_OCCLUDER = 0.1  # share of the object that may lie beyond an end that is hidden: edges are not straight
 _LOWEST = 0.04  # share of the points that count as the lowest seen
 
 
-def cut_off(evidence: LevelView, *, straight: bool = True) -> LevelView:
+def cut_off(evidence: LevelView, *, edge: str | None = "clear") -> LevelView:
     """The evidence of an object, a part of which is hidden by something nearer.
 
     Where a long straight stretch of the outline faces the viewpoint and nothing lies beyond it, that stretch is taken
@@ -45,20 +60,23 @@ def cut_off(evidence: LevelView, *, straight: bool = True) -> LevelView:
 
     Args:
         evidence: With a viewpoint and a silhouette that is guessed from the points.
-        straight: Look for a straight edge.
+        edge: Look for a straight edge as EDGES has it; None takes every stretch that faces the viewpoint for one.
     """
     silhouette = evidence.silhouette
     assert silhouette is not None
     assert evidence.viewpoint is not None
     sight = evidence.viewpoint - evidence.points
-    facing = np.einsum("ni,ni->n", evidence.normals, sight) / np.linalg.norm(sight, axis=1) > _FACING_COSINE
+    cosine = np.einsum("ni,ni->n", evidence.normals, sight) / np.linalg.norm(sight, axis=1)
     seen = silhouette.pixel_of(evidence.points)[:, ::-1]  # row, column
     outline = _outline(silhouette)
-    line = _straight_edge(outline, facing[KDTree(seen).query(outline)[1]]) if straight else None
+    line = None
+    if edge is not None:
+        facing = cosine[KDTree(seen).query(outline)[1]] > EDGES[edge].facing
+        line = _straight_edge(outline, facing, EDGES[edge])
     free = np.argwhere(silhouette.free_range_m > 0)
     if line is None:
-        edge = free + silhouette.offset_px[:, free[:, 0], free[:, 1]].T
-        unknown = facing[KDTree(seen).query(edge)[1]]
+        beside = free + silhouette.offset_px[:, free[:, 0], free[:, 1]].T
+        unknown = cosine[KDTree(seen).query(beside)[1]] > _FACING_COSINE
     else:
         normal, offset = line
         unknown = free @ normal > offset - _ON_LINE_PX
@@ -116,7 +134,7 @@ def _outline(silhouette: Silhouette) -> np.ndarray:
     return np.argwhere(mask & np.logical_not(ndimage.binary_erosion(mask)))
 
 
-def _straight_edge(outline: np.ndarray, facing: np.ndarray) -> tuple[np.ndarray, float] | None:
+def _straight_edge(outline: np.ndarray, facing: np.ndarray, edge: _Edge) -> tuple[np.ndarray, float] | None:
     """Outward normal (2,) and offset of the line on which most of the facing outline lies, with the rest inside it."""
     candidates = outline[facing].astype(np.float64)
     if len(candidates) < 8:
@@ -134,12 +152,12 @@ def _straight_edge(outline: np.ndarray, facing: np.ndarray) -> tuple[np.ndarray,
     on = np.abs(candidates @ normals.T - offsets) < _ON_LINE_PX
     # The side of a slim bottle is straight, too, and a few normals beside it are wrong: most of the line must face.
     all_on = (np.abs(outline @ normals.T - offsets) < _ON_LINE_PX).sum(axis=0)
-    score = np.where((beyond < _BEYOND) & (on.sum(axis=0) > _FACING_SHARE * all_on), on.sum(axis=0), 0)
+    score = np.where((beyond < _BEYOND) & (on.sum(axis=0) > edge.share * all_on), on.sum(axis=0), 0)
     best = int(np.argmax(score))
     normal = normals[best]
     across = np.array([-normal[1], normal[0]])
     stretch = candidates[on[:, best]] @ across
-    if score[best] < 8 or np.ptp(np.quantile(stretch, [0.02, 0.98])) < _CONTACT * np.ptp(outline @ across):
+    if score[best] < 8 or np.ptp(np.quantile(stretch, [0.02, 0.98])) < edge.contact * np.ptp(outline @ across):
         return None
     return normal, float(offsets[best])
 

@@ -13,7 +13,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from gfp_grasp.register.config import RefineConfig
-from gfp_grasp.register.posterior import ShapeModel, evaluate_costs, linearise, shape_model
+from gfp_grasp.register.posterior import ResidualTerm, ShapeModel, evaluate_costs, linearise, shape_model
 from gfp_grasp.register.state import PoseShape, StateBatch
 from gfp_grasp.register.terms import make_free_space_term, make_terms
 from gfp_grasp.types import GenericPrimitive, LevelView
@@ -25,7 +25,12 @@ _DAMPING = 1e-3  # share by which the diagonal of the normal matrix is raised
 
 
 def refine(
-    states: Sequence[PoseShape], primitive: GenericPrimitive, evidence: LevelView, config: RefineConfig = RefineConfig()
+    states: Sequence[PoseShape],
+    primitive: GenericPrimitive,
+    evidence: LevelView,
+    config: RefineConfig = RefineConfig(),
+    *,
+    held: Sequence[ResidualTerm] = (),
 ) -> list[PoseShape]:
     """Improve starts, each by itself; the results carry their cost and residual.
 
@@ -34,6 +39,7 @@ def refine(
         primitive: Template.
         evidence: Points, normals, floor and silhouette of one object.
         config: Weights; len(config.steps) Gauss-Newton steps are made.
+        held: More terms of the posterior, for the steps; they cost nothing.
 
     Returns:
         One state for each start, in the same order.
@@ -44,7 +50,7 @@ def refine(
     unit_m = config.unit_of(primitive)
     batch, terms = StateBatch.of(states, model.num_modes), make_terms(evidence.few(config.num_points), config, unit_m)
     for robust in config.steps:
-        H, g = linearise(batch, model, terms, robust * unit_m)
+        H, g = linearise(batch, model, [*terms, *held], robust * unit_m)
         batch = _stepped(batch, model, H, g, config, longest_m=_MAX_SHIFT * unit_m)
     return batch.split(states, *evaluate_costs(batch, model, terms, config.steps[-1] * unit_m))
 

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from gfp_grasp.train.gfpnet import GFPNET_CONFIGS, paper_loss, patches_of_split, train_gfpnet
     from gfp_grasp.train.instances import InstancesConfig, train_instances
     from gfp_grasp.train.loop import Batch, LoopConfig, shuffled, train
+    from gfp_grasp.train.openset import SIGHTS, OpenSetConfig, OpenSetRow, openset_rows, train_openset
     from gfp_grasp.train.pcrnet import PCRNET_CONFIG, train_pcrnet
     from gfp_grasp.train.proposal import train_proposal
     from gfp_grasp.train.proposal_batches import ProposalConfig
@@ -31,12 +32,15 @@ __all__ = [
     "CACHE",
     "GFPNET_CONFIGS",
     "PCRNET_CONFIG",
+    "SIGHTS",
     "Batch",
     "ClassfreeConfig",
     "Example",
     "HullRow",
     "InstancesConfig",
     "LoopConfig",
+    "OpenSetConfig",
+    "OpenSetRow",
     "ProposalConfig",
     "Thing",
     "View",
@@ -50,6 +54,7 @@ __all__ = [
     "draw_things",
     "make_prototypes",
     "measure_against_hull",
+    "openset_rows",
     "paper_loss",
     "patches_of_split",
     "procedural_members",
@@ -63,6 +68,7 @@ __all__ = [
     "train_classfree",
     "train_gfpnet",
     "train_instances",
+    "train_openset",
     "train_pcrnet",
     "train_proposal",
     "with_prototypes",
@@ -78,6 +84,7 @@ _WITH_TORCH = {
     **dict.fromkeys(("InstancesConfig", "train_instances"), "instances"),
     **dict.fromkeys(("paper_loss", "patches_of_split"), "gfpnet"),
     **dict.fromkeys(("Batch", "LoopConfig", "shuffled", "train"), "loop"),
+    **dict.fromkeys(("SIGHTS", "OpenSetConfig", "OpenSetRow", "openset_rows", "train_openset"), "openset"),
     **dict.fromkeys(("PCRNET_CONFIG", "train_pcrnet"), "pcrnet"),
     **dict.fromkeys(("make_prototypes", "with_prototypes"), "prototypes"),
 }

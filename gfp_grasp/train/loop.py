@@ -132,7 +132,7 @@ def write_weights(
     save_file({name: tensor.half().contiguous() for name, tensor in network.state_dict().items()}, path)
     path.chmod(0o644)  # safetensors writes for the owner alone, and a wheel keeps the mode
     card = {
-        "command": _command(),
+        "command": command_line(),
         "config": asdict(config),  # type: ignore[call-overload]
         "data": dict(data),
         "hours": round(hours, 3),
@@ -170,7 +170,7 @@ def _ready(part: Tensor, device: str) -> Tensor:
     return part.to(device, torch.float32 if part.is_floating_point() else None)
 
 
-def _command() -> str:
+def command_line() -> str:
     """The command line that is running, as a user would type it."""
     main = sys.modules["__main__"]
     if main.__spec__ is not None and main.__spec__.name:

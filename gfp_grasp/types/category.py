@@ -9,6 +9,7 @@ from dataclasses import asdict, dataclass, field, fields
 from gfp_grasp.errors import InvalidOption
 
 RESTS = ("upright", "upside_down", "lying")
+UNKNOWN = "unknown"  # the category of a thing that is of no class
 KEEP_RULES = ("seen", "always")
 DATASETS = ("modelnet", "shapenet", "kitti")
 

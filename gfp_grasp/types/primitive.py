@@ -289,6 +289,8 @@ class FittedPrimitive:
         hypothesis: "upright", "upside_down" or "lying": how the object rests on the support.
         margin: Cost of the second best hypothesis over the best, at least 1; inf where there was one only.
         cost: Negative log posterior up to a constant, comparable between primitives fitted to the same evidence.
+        spread_m: (v,) m, standard deviation of the vertices over all lengths that the object may have, where something
+            hides how far it goes on; else None.
     """
 
     primitive: GenericPrimitive
@@ -299,12 +301,16 @@ class FittedPrimitive:
     hypothesis: str = "upright"
     margin: float = float("inf")
     cost: float = 0.0
+    spread_m: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         freeze(self, "T_world_object", checked_matrix(self.T_world_object, (4, 4), "T_world_object", InvalidMesh))
         freeze(self, "scale", checked_vector(self.scale, 3, "scale", InvalidMesh))
         num_modes = len(self.primitive.modes)
         freeze(self, "coefficients", checked_vector(self.coefficients, num_modes, "coefficients", InvalidMesh))
+        if self.spread_m is not None:
+            num_vertices = len(self.primitive.vertices)
+            freeze(self, "spread_m", checked_vector(self.spread_m, num_vertices, "spread_m", InvalidMesh))
 
     def vertices_world(self) -> np.ndarray:
         """(v, 3) m, world frame."""

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 import numpy as np
 import trimesh
 
 from gfp_grasp.errors import InvalidGrasp, InvalidMesh
+from gfp_grasp.transforms import apply_T
 from gfp_grasp.types.arrays import checked_matrix, checked_numbers, freeze
 from gfp_grasp.types.primitive import ConvexPart, FittedPrimitive
 
@@ -24,6 +25,8 @@ class CompletedShape:
         sigma_m: (v,) standard deviation of the surface's position, m.
         fit: The fit that it came from; None where no primitive was used.
         timings_s: Seconds by stage.
+        made_by: "primitive", "classfree" (the network that knows no class), "hull" (of what was seen), or "other".
+        note: Why it is not what the likeliest class's primitive would have been; "" where it is.
     """
 
     mesh: trimesh.Trimesh
@@ -31,6 +34,8 @@ class CompletedShape:
     sigma_m: np.ndarray
     fit: FittedPrimitive | None = None
     timings_s: Mapping[str, float] = field(default_factory=dict)
+    made_by: Literal["primitive", "classfree", "hull", "other"] = "other"
+    note: str = ""
 
     def __post_init__(self) -> None:
         num_vertices = len(self.mesh.vertices)
@@ -39,6 +44,12 @@ class CompletedShape:
             raise InvalidMesh(f"observed {observed.shape} and sigma_m {sigma.shape} must be ({num_vertices},)")
         freeze(self, "observed", observed)
         freeze(self, "sigma_m", sigma)
+
+    def moved(self, T: np.ndarray) -> CompletedShape:
+        """The same in another frame, T_new_old (4, 4)."""
+        vertices = apply_T(T, np.asarray(self.mesh.vertices))
+        fit = None if self.fit is None else replace(self.fit, T_world_object=T @ self.fit.T_world_object)
+        return replace(self, mesh=trimesh.Trimesh(vertices, self.mesh.faces.copy(), process=False), fit=fit)
 
 
 @dataclass(frozen=True, eq=False)

@@ -32,6 +32,8 @@ def item_rows(item: Item) -> Rows:
     completion, fit = item.completion, item.completion.fit
     name = fit.primitive.name if fit else completion.category
     rows = [("class", name), ("confidence", _scores(item)), ("size", _size(item))]
+    if completion.note:
+        rows.append(("note", completion.note))
     if fit is not None:
         rows.append(("residual", f"{1000 * fit.residual_m:.2f} mm, {spoken(fit.hypothesis)}"))
     middle, high = 1000 * np.quantile(completion.sigma_m, (0.5, 0.95))
@@ -96,9 +98,9 @@ def outcome_text(outcome: Outcome) -> str:
 
 def _scores(item: Item) -> str:
     scores = item.completion.scores
-    own = scores.get(item.completion.category)
-    if own is None:
+    if not scores:
         return "the class was given"
+    own = scores.get(item.completion.category, 0.0)
     others = [f"{name} {score:.2f}" for name, score in scores.items() if name != item.completion.category]
     return f"{own:.2f}" + (f" ({', '.join(others)})" if others else "")
 
