@@ -79,7 +79,7 @@ def test_figures_of_known_and_unknown_follow_from_their_rows():
     assert json_of({**report_of(found), "trials": report["trials"]}) == report
 
 
-def _as_row(value: object) -> object:
+def _as_row(value: Any) -> Any:
     return tuple(value) if isinstance(value, list) else value
 
 
