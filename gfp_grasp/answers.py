@@ -105,7 +105,7 @@ def answer(view: LevelView, detection: Detection, config: CompleteConfig, clock:
     asked = not class_is_given(detection) and config.unknown_above < 1
     look = evidence_of_look(detection, config.library) if asked else np.empty(0)
     unknown = probability_by_look(look) if asked else 0.0
-    if unknown < config.unknown_above:
+    if not asked or unknown < config.unknown_above:
         try:
             shape = by_class(view, detection, config, clock, unlikely=unknown < _DOUBTFUL)
         except FitDiverged as error:
@@ -113,12 +113,15 @@ def answer(view: LevelView, detection: Detection, config: CompleteConfig, clock:
                 raise
             doubts.append(str(error))
         else:
+            if not asked and not config.fall_back:
+                return shape
             misfit = misfit_of(shape.mesh, view)
             doubts += misfit.faults() if config.fall_back else []
-            assert shape.fit is not None
-            unknown = probability_unknown(look, evidence_of_fit(shape.fit, misfit)) if asked else 0.0
+            if asked:
+                assert shape.fit is not None
+                unknown = probability_unknown(look, evidence_of_fit(shape.fit, misfit))
             clock.lap("check")
-            if unknown < config.unknown_above and not doubts:
+            if not doubts and (not asked or unknown < config.unknown_above):
                 return shape
     if asked and unknown >= config.unknown_above:
         doubts.insert(0, f"it is of no class with a probability of {unknown:.2f}")

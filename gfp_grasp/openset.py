@@ -64,8 +64,8 @@ def evidence_of_fit(fit: FittedPrimitive, misfit: Misfit) -> np.ndarray:
     The more, the more doubtful; but of what hides an end of the object the look knows less.
 
     Args:
-        fit: Of the class that fits best.
-        misfit: That of its completed surface.
+        fit: Fit of the class that fits best.
+        misfit: Misfit of its completed surface.
     """
     log_scale = np.log(fit.scale)
     covariance = fit.primitive.log_scale_cov + 1e-4 * np.eye(3)

@@ -229,9 +229,9 @@ def _without_flying(points: np.ndarray, viewpoint: np.ndarray | None, sensor: Se
     dense = (crowd >= 0.2 * np.median(crowd))[cell_of]
     if viewpoint is not None and not dense.all():
         tree, beside, range_m = _rays(points, viewpoint)
-        for i in np.flatnonzero(~dense):
-            near = range_m[tree.query_ball_point(tree.data[i], beside)]
-            dense[i] = (np.abs(near - range_m[i]) < 4 * cell_m).sum() > _COMPANY
+        alone = np.flatnonzero(~dense)
+        for i, near in zip(alone, tree.query_ball_point(tree.data[alone], beside), strict=True):
+            dense[i] = (np.abs(range_m[near] - range_m[i]) < 4 * cell_m).sum() > _COMPANY
     return points[dense] if dense.sum() >= MIN_POINTS else points
 
 

@@ -31,7 +31,7 @@ from gfp_grasp.recognition import recognise
 from gfp_grasp.shapes import FAMILIES, TRAFFIC
 from gfp_grasp.train.classfree_data import PLAIN, SeenThing, SightConfig, Thing, draw_things, seen_things
 from gfp_grasp.train.loop import command_line
-from gfp_grasp.transforms import apply_T
+from gfp_grasp.transforms import apply_T, invert_T
 
 _SAMPLES = 8192
 _LOST = 0.6  # of the hull's Chamfer distance: a completion that is worse is no good answer to a thing of no class
@@ -67,7 +67,7 @@ class OpenSetRow:
 
     Attributes:
         kind: Family or kind of mixture.
-        number: Of the thing within it.
+        number: Number of the thing within it.
         sort: "known"; "left_out", whose class the library lacks; or "mixture".
         sight: How it was seen, one of SIGHTS.
         look: Of `evidence_of_look`.
@@ -133,12 +133,10 @@ def rows_of_thing(thing: Thing) -> list[OpenSetRow]:
 def _rows(seen: SeenThing, libraries: Mapping[str, PrimitiveLibrary], sight: str) -> list[OpenSetRow]:
     thing, detection = seen.thing, recognise(seen.detection, PrimitiveLibrary.shipped())
     view = make_level_view(detection)
-    truth = visible_surface(seen.mesh, _SAMPLES, thing.rng(1))
+    truth = apply_T(invert_T(view.T_world_level), visible_surface(seen.mesh, _SAMPLES, thing.rng(1)))
 
     def cd_m(mesh: trimesh.Trimesh) -> float:
-        world = apply_T(view.T_world_level, np.asarray(mesh.vertices))
-        moved = trimesh.Trimesh(world, mesh.faces, process=False)
-        return round(chamfer_m(visible_surface(moved, _SAMPLES, thing.rng(2)), truth), 6)
+        return round(chamfer_m(visible_surface(mesh, _SAMPLES, thing.rng(2)), truth), 6)
 
     try:
         hull_cd_m = cd_m(hull_of(view.cloud.points))
