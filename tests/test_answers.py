@@ -122,6 +122,7 @@ def test_a_class_that_was_given_is_not_doubted_but_its_answer_is_checked(monkeyp
     assert made.answer(given=True).made_by == "primitive"
     assert not made.by_look.calls
     assert not made.unknown.calls
+    assert Answers(monkeypatch).answer(given=True, unknown_above=0.0).made_by == "primitive"
     made = Answers(monkeypatch, misfits=[BAD, GOOD])
     shape = made.answer(given=True)
     assert (shape.made_by, shape.note) == ("classfree", FAULT)
@@ -131,6 +132,7 @@ def test_nothing_is_doubted_where_the_config_says_never(monkeypatch: pytest.Monk
     made = Answers(monkeypatch, by_look=1.0, unknown=1.0, misfits=[BAD])
     assert made.answer(unknown_above=1.0, fall_back=False).made_by == "primitive"
     assert not made.evidence_of_look.calls
+    assert not made.misfit.calls  # nor is anything checked
 
 
 def test_an_answer_that_contradicts_what_was_seen_gives_way_and_the_note_says_why(
