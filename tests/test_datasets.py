@@ -12,7 +12,7 @@ from gfp_grasp.datasets import LAYOUTS, layout_of, read_dataset
 from gfp_grasp.errors import InvalidOption, UnreadableFile
 from gfp_grasp.primitives import PrimitiveLibrary, save_primitive
 from gfp_grasp.scenes import label_of, load_objects, shipped_families
-from gfp_grasp.shapes import HOUSEHOLD, TRAFFIC, make_shape, split_seeds
+from gfp_grasp.shapes import HOUSEHOLD, MIXTURES, TRAFFIC, make_mixture, make_shape, split_seeds
 from gfp_grasp.train.labels import make_labels
 from gfp_grasp.train.views import cached_views
 from gfp_grasp.transforms import make_T, rotation_about
@@ -145,3 +145,14 @@ def test_groups_of_families_have_names():
     assert [source.family for source in load_objects("traffic", "test", limit=3)] == list(TRAFFIC[:3])
     assert {source.family for source in load_objects("household", "val")} == set(HOUSEHOLD)
     assert label_of("household") == ",".join(HOUSEHOLD)
+
+
+def test_things_of_no_class_are_objects_too():
+    """They take turns like families, have no class, and each split has others."""
+    found = load_objects("apple-like,mug,toy-like", "test", limit=5)
+    assert [source.name for source in found] == ["apple-like-0", "mug-7", "toy-like-0", "apple-like-1", "mug-10"]
+    assert [source.category for source in found] == ["", "mug", "", "", "mug"]
+    np.testing.assert_array_equal(found[2].load_mesh().vertices, make_mixture("toy-like", 0, split="test").vertices)
+    others = load_objects("toy-like", "val", limit=1)[0].load_mesh()
+    assert not np.allclose(others.extents, found[2].load_mesh().extents, rtol=0.01)
+    assert label_of("unknown") == ",".join(MIXTURES)

@@ -213,7 +213,8 @@ def view(
     objects: Annotated[
         str | None,
         typer.Option(
-            help="Instead: episodes with procedural families, or household (all) of them; a mesh file; a folder."
+            help="Instead: episodes with procedural families (household: all of them; unknown: things of no class), "
+            "a mesh file or a folder."
         ),
     ] = None,
     category: Annotated[str | None, typer.Option(help="Class of the object in the capture.")] = None,

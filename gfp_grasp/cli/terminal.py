@@ -41,7 +41,10 @@ Most = Annotated[int, typer.Option("--limit", min=1, help="Most objects; familie
 Split = Annotated[str, typer.Option(help="Split of the procedural families: train, val or test.")]
 Objects = Annotated[
     str,
-    typer.Option(help="Procedural families with commas between, or household (all) of them; a mesh file; a folder."),
+    typer.Option(
+        help="Procedural families with commas between, household for all of them, unknown for things of no class; "
+        "a mesh file; a folder."
+    ),
 ]
 Files = Annotated[bool, typer.Option("--files", help="Write the meshes of .xml to files beside it, not into itself.")]
 Gps = Annotated[

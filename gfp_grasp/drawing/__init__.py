@@ -1,6 +1,12 @@
 """Objects, films, pictures, charts and HTML for the viewer, the demonstration, the page of a score and the benches."""
 
-from gfp_grasp.drawing.bench_charts import write_bars, write_confusion, write_curves, write_operating_curve
+from gfp_grasp.drawing.bench_charts import (
+    write_bars,
+    write_confusion,
+    write_curves,
+    write_margins,
+    write_operating_curve,
+)
 from gfp_grasp.drawing.charts import (
     bracket_chart,
     escaped,
@@ -48,5 +54,6 @@ __all__ = [
     "write_confusion",
     "write_curves",
     "write_depth",
+    "write_margins",
     "write_operating_curve",
 ]

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from html import escape
 from pathlib import Path
+from typing import Any
 
 from gfp_grasp.journal import write_whole
 
@@ -14,6 +15,7 @@ _LINES = ("#1f6f8b", "#d9822b", "#5b8c3e", "#8e4585", "#7a7a7a")
 _OURS, _OTHER, _WRONG, _INK = "#1f6f8b", "#b9c4cb", "#c8553d", "#22303a"
 # Units of the squares of a confusion.
 _CELL, _CLASS_NAMES, _HEAD = 26, 110, 150
+_WHISKER = 22
 _LEAST_TOLD = 0.05  # a smaller share is a tint without a number
 
 
@@ -135,6 +137,49 @@ def write_operating_curve(curves: Mapping[str, Sequence[Mapping[str, float]]], t
         lines.append(_text(width - 336, y + 4, f"{views} views, {words}"))
     subtitle = f"share caught over share lost, over all thresholds; the marks are those of {threshold:g}"
     return _write_chart(path, width, height, "Known or unknown", subtitle, lines)
+
+
+def write_margins(sets: Mapping[str, Mapping[str, Mapping[str, Any]]], path: Path) -> Path:
+    """Draw the margin of every completer with its interval, and beside it the share that held; a panel for each set.
+
+    Args:
+        sets: {set: {completer: summary of `score.Report.completers`, with "margin"}}.
+        path: An .svg file.
+
+    Returns:
+        The path.
+    """
+    methods = list(next(iter(sets.values())))
+    most = max(figures["margin_ci95"][1] for rows in sets.values() for figures in rows.values())
+    wide, top = _PANEL - 80, 84
+    lines = []
+    for column, (name, rows) in enumerate(sets.items()):
+        left = _NAMES + column * _PANEL
+        attempts = next(iter(rows.values()))["attempts"]
+        lines.append(_text(left, 64, f"{name}, {attempts} views", weight="bold"))
+        bottom = top + len(methods) * _WHISKER
+        for octave in range(int(most) + 1):
+            x = left + wide * octave / most
+            lines.append(f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{top - 8}" y2="{bottom}" stroke="#e4e8eb"/>')
+            lines.append(_text(x, bottom + 14, str(octave), anchor="middle"))
+        for row, method in enumerate(methods):
+            y, figures = top + (row + 0.5) * _WHISKER, rows[method]
+            colour = _OURS if method == "gfpnet" else _INK
+            if column == 0:
+                weight = "bold" if method == "gfpnet" else "normal"
+                lines.append(_text(_NAMES - 12, y + 4, method, anchor="end", weight=weight))
+            low, mean, high = (
+                left + wide * value / most
+                for value in (figures["margin_ci95"][0], figures["margin"], figures["margin_ci95"][1])
+            )
+            lines.append(
+                f'<path d="M{low:.1f},{y - 4} v8 M{low:.1f},{y} H{high:.1f} M{high:.1f},{y - 4} v8" '
+                f'stroke="{colour}" fill="none"/><circle cx="{mean:.1f}" cy="{y}" r="4.5" fill="{colour}"/>'
+            )
+            lines.append(_text(left + wide + 10, y + 4, f"{100 * figures['success_rate']:.0f} %"))
+    width, height = _NAMES + len(sets) * _PANEL + _MARGIN, top + len(methods) * _WHISKER + 28
+    key = "margin in doublings of friction, mean and 95 % interval over objects; beside it, best grasps that held"
+    return _write_chart(path, width, height, "What completion is worth to a gripper", key, lines)
 
 
 def write_confusion(rows: Mapping[str, Sequence[float]], columns: Sequence[str], path: Path, *, title: str) -> Path:

@@ -97,8 +97,9 @@ class EnvConfig:
     """Keyword arguments of `GfpGraspEnv`; only str, int, float, bool and None, so that a spec goes through JSON.
 
     Attributes:
-        objects: Procedural families with commas between, "household" (or "all") for all of those; a mesh file, or a
-            folder of meshes. Vehicles and the like are no objects of a table.
+        objects: Procedural families with commas between, "household" (or "all") for all of those; kinds of things of no
+            class, as "apple-like", "unknown" for all of those; a mesh file, or a folder of meshes. Vehicles and the
+            like are no objects of a table.
         gps: Folders of primitives of the user's own, with a colon between (a semicolon on Windows); "" for none.
         completer: Name, see `gfp_grasp.completers.get_completer`.
         detector: Name, see `gfp_grasp.detect.get_detector`; objects of an episode stand apart, which needs no network.

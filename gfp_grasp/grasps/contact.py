@@ -125,8 +125,8 @@ class Contacts:
         high_m: (p,) the same for the jaw at +y.
         squareness: (p,) cosine between closing axis and mean normal, the worse of both patches.
         certainty: (p,) mean over both patches of how certain the points are to be where they seem, 0 to 1.
-        levers_m: (p, 3) m with which the pads resist a turn about the gripper's x, y and z, for a unit of grip force;
-            the smaller of what the two pads have.
+        levers_m: (p, 3, 3) m, symmetric: the pads resist a torque t, in the gripper's frame, up to |levers^-1 t| of 1
+            for a unit of grip force; those of the pad that has the smaller ones.
     """
 
     low_m: np.ndarray
@@ -171,7 +171,9 @@ def find_contacts(
     ]
     squareness = np.minimum(_cosine(sides[0].normal, closing), _cosine(sides[1].normal, -closing))
     certainty = (sides[0].certainty + sides[1].certainty) / 2
-    levers = np.minimum(*(side.levers_m(friction * (high - low), friction) for side in sides))
+    both = np.stack([side.levers_m(friction * (high - low), friction) for side in sides])
+    smaller = np.argmin(np.trace(both, axis1=2, axis2=3), axis=0)
+    levers = both[smaller, np.arange(len(closing))]
     missed = ~(np.isfinite(low) & np.isfinite(high) & np.isfinite(squareness))
     for array in (low, high, squareness, certainty, levers):
         array[missed] = np.nan
@@ -239,24 +241,40 @@ class _Patch:
     Attributes:
         normal: (p, 3) mean normal, not of unit length.
         certainty: (p,) mean certainty of the points.
-        variance: (p, 2) m^2 of the points along the pad's x and z.
+        covariance: (p, 2, 2) m^2 of the points along the pad's x and z.
     """
 
     def __init__(self, touched: _Near, normals: np.ndarray, certainty: np.ndarray) -> None:
-        on_pad = touched.local[:, [0, 2]]
+        x, z = touched.local[:, 0], touched.local[:, 2]
         self.normal = touched.means(normals[touched.point])
         self.certainty = touched.means(certainty[touched.point, None])[:, 0]
-        self.variance = np.maximum(touched.means(on_pad**2) - touched.means(on_pad) ** 2, 0.0)
+        mean_x, mean_z, xx, xz, zz = touched.means(np.stack([x, z, x * x, x * z, z * z], axis=1)).T
+        xx, xz, zz = np.maximum(xx - mean_x**2, 0.0), xz - mean_x * mean_z, np.maximum(zz - mean_z**2, 0.0)
+        self.covariance = np.stack([xx, xz, xz, zz], axis=1).reshape(-1, 2, 2)
 
     def levers_m(self, across_m: np.ndarray, friction: float) -> np.ndarray:
-        """Levers (p, 3) m against turns about x, y and z, for a unit force on a patch of uniform pressure.
+        """Levers (p, 3, 3) m against turns, for a unit force on a patch of uniform pressure; see `Contacts`.
 
         A turn about x or z is resisted by friction on both pads, across_m apart, and by the pressure, which moves over
-        the patch; a turn about the closing axis y is resisted by the friction of the twisting patch alone.
+        the patch: not at all about the patch's own line where it is one, however that lies on the pad. A turn about
+        the closing axis y is resisted by the friction of the twisting patch alone.
         """
-        extent = np.sqrt(12.0 * self.variance)
-        about_y = 2.0 * friction * np.sqrt(self.variance.sum(axis=1))
-        return np.stack([across_m + extent[:, 1], about_y, across_m + extent[:, 0]], axis=1)
+        extent = np.sqrt(12.0) * _root(self.covariance)
+        levers = np.zeros((len(across_m), 3, 3))
+        levers[:, 0, 0] = across_m + extent[:, 1, 1]
+        levers[:, 0, 2] = levers[:, 2, 0] = -extent[:, 0, 1]
+        levers[:, 2, 2] = across_m + extent[:, 0, 0]
+        levers[:, 1, 1] = 2.0 * friction * np.sqrt(np.trace(self.covariance, axis1=1, axis2=2))
+        return levers
+
+
+def _root(matrices: np.ndarray) -> np.ndarray:
+    """Square roots (p, 2, 2) of symmetric matrices without negative eigenvalues; NaN where these are."""
+    trace = np.trace(matrices, axis1=1, axis2=2)
+    product = matrices[:, 0, 0] * matrices[:, 1, 1] - matrices[:, 0, 1] ** 2
+    root = np.sqrt(np.maximum(product, 0.0))
+    scale = np.sqrt(trace + 2.0 * root)
+    return (matrices + root[:, None, None] * np.eye(2)) / np.maximum(scale, 1e-12)[:, None, None]
 
 
 def _cosine(vectors: np.ndarray, axes: np.ndarray) -> np.ndarray:
@@ -280,13 +298,13 @@ def load_ratio(
     """The load that a grasp holds, over what its jaws hold of a weight that hangs between them.
 
     The pads' limit surface is taken for an ellipsoid (Howe and Cutkosky 1996, "Practical force-motion models for
-    sliding manipulation"): a force f across the closing axis and torques t slip once (f / (2 mu N))^2 + sum (t_i /
-    (lever_i N))^2 is 1, N the grip force. The jaws' own strength bears a force along the closing axis. The pull is
+    sliding manipulation"): a force f across the closing axis and a torque t slip once (f / (2 mu N))^2 +
+    |levers^-1 t / N|^2 is 1, N the grip force. The jaws' own strength bears a force along the closing axis. The pull is
     gravity with a sway to each of eight sides; the worst of the eight counts.
 
     Args:
         T_world_gripper: (p, 4, 4), m.
-        levers_m: (p, 3) m, levers of the pads against turns about the gripper's x, y and z, for a unit of grip force.
+        levers_m: (p, 3, 3) m, levers of the pads against turns, see `Contacts`.
         centre: (3,) m, the object's centre of mass.
         up: (3,) unit, against gravity.
         friction: Coulomb coefficient mu.
@@ -304,6 +322,9 @@ def load_ratio(
     pull = np.einsum("pji,kj->pki", R, sway * sways - up)
     torque = np.cross(arm[:, None], pull)
     slide = pull[..., 0] ** 2 + pull[..., 2] ** 2
-    turn = (2.0 * friction * torque / np.maximum(levers_m, _LEAST_LEVER_M)[:, None]) ** 2
+    missing = np.isnan(levers_m)
+    lengths, axes = np.linalg.eigh(np.where(missing, 0.0, levers_m))
+    turn = (2.0 * friction * (torque @ axes) / np.maximum(lengths, _LEAST_LEVER_M)[:, None]) ** 2
     needed = np.sqrt(slide + turn.sum(axis=2)).max(axis=1)
+    needed[missing.any(axis=(1, 2))] = np.nan
     return 1.0 / np.maximum(needed, 1.0)

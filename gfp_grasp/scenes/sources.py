@@ -1,9 +1,8 @@
-"""Where objects come from: a procedural family, one mesh file, or a folder of them."""
+"""Where objects come from: a procedural family, a kind of things of no class, one mesh file, or a folder of them."""
 
 from __future__ import annotations
 
 import zlib
-from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Literal
@@ -18,6 +17,7 @@ from gfp_grasp.scenes.objects import Decompose, rested, solid_mesh, true_object
 from gfp_grasp.transforms import make_T, rotation_about
 from gfp_grasp.types import TrueObject
 
+_OF_A_KIND = 100  # things of no class, of which there is no end; ours
 ALL_FAMILIES = "all"  # in place of the names of `shipped_families`
 
 
@@ -28,8 +28,9 @@ class ObjectSource:
     Attributes:
         name: Name of the mesh in its data set, never a path.
         category: Class, or "" where it is unknown.
-        family: Procedural family, or "" for a file.
-        seed: Seed of the procedural shape.
+        family: Procedural family, or kind of things of no class; "" for a file.
+        seed: Seed of the procedural shape, or number within the kind.
+        split: Split that the number counts in; "" for all but a kind.
         path: Mesh file, or None for a procedural shape.
         up: Axis of the file that is up, "z" or "y".
         height_m: Height that the file is scaled to; None where it is in metres.
@@ -39,6 +40,7 @@ class ObjectSource:
     category: str
     family: str = ""
     seed: int = 0
+    split: str = ""
     path: Path | None = None
     up: Literal["z", "y"] = "z"
     height_m: float | None = None
@@ -47,8 +49,10 @@ class ObjectSource:
         """The watertight mesh (m, z up, resting on z = 0), without convex parts: enough for looking at it."""
         if self.path is not None:
             return rested(solid_mesh(self._in_metres(load_mesh(self.path))))
-        from gfp_grasp.shapes import make_shape
+        from gfp_grasp.shapes import make_mixture, make_shape
 
+        if self.split:
+            return make_mixture(self.family, self.seed, split=self.split)
         return rested(make_shape(self.family, self.seed).mesh)  # a volume, but of any size: networks see lorries too
 
     def _in_metres(self, mesh: trimesh.Trimesh) -> trimesh.Trimesh:
@@ -87,9 +91,10 @@ def load_objects(
     """Objects of procedural families or of mesh files, not loaded yet.
 
     Args:
-        family_or_folder: A procedural family, several with commas between, "household" or "traffic" for all of a
-            group, "all" for the household families whose classes ship; a mesh file, or a folder of mesh files named
-            `<class>__<name>.<suffix>`, or just `<name>.<suffix>` where the class is unknown.
+        family_or_folder: A procedural family or a kind of things of no class, several with commas between;
+            "household", "traffic" or "unknown" for all of a group, "all" for the household families whose classes ship;
+            a mesh file, or a folder of mesh files named `<class>__<name>.<suffix>`, or just `<name>.<suffix>` where
+            the class is unknown.
         split: Seeds of a family: train, val or test. Files have no split.
         limit: Most objects: families take turns, files come in the order of their names.
 
@@ -97,19 +102,19 @@ def load_objects(
         InvalidOption: No family, file or folder of that name, an unknown split, or a limit below one.
         UnreadableFile: The file is of another suffix, or the folder holds no mesh.
     """
-    from gfp_grasp.shapes import FAMILIES, SPLITS, split_seeds
+    from gfp_grasp.shapes import FAMILIES, MIXTURES, SPLITS
 
     if split not in SPLITS:
         raise InvalidOption(f"split is {split!r}; legal are {', '.join(SPLITS)}")
     if limit is not None and limit < 1:
         raise InvalidOption(f"limit is {limit}; at least 1, or None, is expected")
-    families = _families(family_or_folder)
+    families, known = _families(family_or_folder), (*FAMILIES, *MIXTURES)
     if not families:
         raise InvalidOption(
-            f"objects is {str(family_or_folder)!r}; families ({', '.join(FAMILIES)}), a mesh file or a folder"
+            f"objects is {str(family_or_folder)!r}; families ({', '.join(known)}), a mesh file or a folder"
         )
-    if all(family in FAMILIES for family in families):
-        return _in_turns([_shape_sources(family, split_seeds(family, split)) for family in families])[:limit]
+    if all(family in known for family in families):
+        return _in_turns([_shape_sources(family, split) for family in families])[:limit]
     path = Path(family_or_folder)
     if path.is_file():
         if path.suffix.lower() not in SUFFIXES:
@@ -118,7 +123,7 @@ def load_objects(
     if path.is_dir():
         return _folder_sources(path)[:limit]
     raise InvalidOption(
-        f"objects {str(family_or_folder)!r} is no family ({', '.join(FAMILIES)}), no mesh file and no folder"
+        f"objects {str(family_or_folder)!r} is no family ({', '.join(known)}), no mesh file and no folder"
     )
 
 
@@ -152,12 +157,18 @@ def _families(objects: str | Path) -> list[str]:
 
 def _groups() -> dict[str, tuple[str, ...]]:
     """Families of which one word stands for all."""
-    from gfp_grasp.shapes import HOUSEHOLD, TRAFFIC
+    from gfp_grasp.shapes import HOUSEHOLD, MIXTURES, TRAFFIC
 
-    return {ALL_FAMILIES: shipped_families(), "household": HOUSEHOLD, "traffic": TRAFFIC}
+    return {ALL_FAMILIES: shipped_families(), "household": HOUSEHOLD, "traffic": TRAFFIC, "unknown": MIXTURES}
 
 
-def _shape_sources(family: str, seeds: Sequence[int]) -> list[ObjectSource]:
+def _shape_sources(family: str, split: str) -> list[ObjectSource]:
+    from gfp_grasp.shapes import MIXTURES, split_seeds
+
+    if family in MIXTURES:
+        numbers = range(_OF_A_KIND)
+        return [ObjectSource(f"{family}-{i}", "", family=family, seed=i, split=split) for i in numbers]
+    seeds = split_seeds(family, split)
     return [ObjectSource(f"{family}-{seed}", family, family=family, seed=int(seed)) for seed in seeds]
 
 

@@ -115,21 +115,18 @@ class Report:
         }
 
     def paired(self) -> dict[str, dict[str, dict[str, Any]]]:
-        """Every method beside the brackets that were scored, and beside other planners on the same completer.
+        """Every method beside every other.
 
         {method: {other: {"pairs" (views that both have), "only_this" and "only_other" (views on which one of the two
         held), "p" (exact McNemar, two-sided), "margin" (mean of this margin less the other's) and "margin_ci95" (by
-        resampling objects)}}}.
+        resampling objects)}}}, the brackets first.
         """
         held = {(row.completer, row.object, row.view): row for row in self.rows}
         methods = self._by_method()
-        paired: dict[str, dict[str, dict[str, Any]]] = {method: {} for method in methods}
-        for method in methods:
-            for other in dict.fromkeys((*BRACKETS, *methods)):
-                alike = other in BRACKETS or method_names(other)[0] == method_names(method)[0]
-                if other in methods and other != method and alike:
-                    paired[method][other] = _paired(held, method, other)
-        return paired
+        others = [name for name in dict.fromkeys((*BRACKETS, *methods)) if name in methods]
+        return {
+            method: {other: _paired(held, method, other) for other in others if other != method} for method in methods
+        }
 
     def table(self) -> list[dict[str, str]]:
         """Figures of each method, as text for printing."""
