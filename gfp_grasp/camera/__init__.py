@@ -1,12 +1,13 @@
-"""Depth pictures: pinhole geometry, a sensor's noise, viewpoints, and renderers with and without OpenGL.
+"""Depth pictures and LiDAR scans: geometry, a sensor's noise, viewpoints, and renderers with and without OpenGL.
 
-`render_depth` needs MuJoCo and is loaded at first use; everything else here is numpy, scipy and Embree.
+`render_depth` and `scan_scene` need MuJoCo and load it at first use; everything else here is numpy, scipy and Embree.
 """
 
 from typing import TYPE_CHECKING
 
 from gfp_grasp.camera.cast import cast_rays, render_mesh_view, visible_points
 from gfp_grasp.camera.frames import SensorFrame, sensor_frame
+from gfp_grasp.camera.lidar import HDL_64, LidarModel, scan_meshes, scan_scene
 from gfp_grasp.camera.pinhole import (
     camera_points,
     cloud_of,
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
     from gfp_grasp.camera.render import render_depth
 
 __all__ = [
+    "HDL_64",
+    "LidarModel",
     "SensorFrame",
     "SensorModel",
     "apply_sensor",
@@ -35,6 +38,8 @@ __all__ = [
     "render_depth",
     "render_mesh_view",
     "sample_viewpoint",
+    "scan_meshes",
+    "scan_scene",
     "sensor_frame",
     "surface_normals",
     "view_from_points",

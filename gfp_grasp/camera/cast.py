@@ -47,7 +47,7 @@ def render_mesh_view(
     rays = pixel_rays(K, width, height).reshape(-1, 3)
     seen = []
     for number, mesh in enumerate(meshes):
-        vertices, faces = _checked(mesh, number)
+        vertices, faces = checked_mesh(mesh, number)
         seen.append((apply_T(T_camera_world, vertices), faces))
     depth, _, index = cast_rays(seen, np.zeros(3), rays)
     if table_height is not None:
@@ -107,7 +107,8 @@ def _table_depth(rays: np.ndarray, T_camera_world: np.ndarray, table_height: flo
     return np.where((depth > 0) & np.isfinite(depth), depth, np.inf)
 
 
-def _checked(mesh: trimesh.Trimesh, index: int) -> tuple[np.ndarray, np.ndarray]:
+def checked_mesh(mesh: trimesh.Trimesh, index: int) -> tuple[np.ndarray, np.ndarray]:
+    """Vertices (v, 3) and faces (f, 3) of a mesh that Embree can be given; its index is for the message."""
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
     if not np.isfinite(vertices).all():
         raise InvalidMesh(f"mesh {index} has vertices that are not finite: clean it before it is rendered")

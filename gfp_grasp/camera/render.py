@@ -80,15 +80,29 @@ def _cast(
 ) -> tuple[np.ndarray, np.ndarray]:
     rays = pixel_rays(K, width, height).reshape(-1, 3) @ T_world_camera[:3, :3].T
     length = np.linalg.norm(rays, axis=1)
-    directions = np.ascontiguousarray((rays / length[:, None]).ravel())
-    geom, distance = np.full(len(rays), -1, dtype=np.int32), np.full(len(rays), -1.0)
-    groups = np.array([group in VISIBLE_GROUPS for group in range(mujoco.mjNGROUP)], dtype=np.uint8)
-    arguments = [model, data, np.ascontiguousarray(T_world_camera[:3, 3]), directions, groups, 1, -1, geom, distance]
-    if "normal" in (mujoco.mj_multiRay.__doc__ or ""):  # an argument more since MuJoCo 3.4
-        arguments.append(None)
-    mujoco.mj_multiRay(*arguments, len(rays), float(farthest_m * length.max()))
+    distance, geom = cast_scene(
+        model, data, T_world_camera[:3, 3], rays / length[:, None], cutoff_m=float(farthest_m * length.max())
+    )
     depth = np.where(geom >= 0, distance / length, 0.0)
     return depth.reshape(height, width), geom.reshape(height, width)
+
+
+def cast_scene(
+    model: mujoco.MjModel, data: mujoco.MjData, origin: np.ndarray, directions: np.ndarray, *, cutoff_m: float
+) -> tuple[np.ndarray, np.ndarray]:
+    """Distance (r,) m to what unit directions (r, 3) from an origin (3,) m meet, -1 for nothing, and its geom id (r,).
+
+    Geoms of the visible groups are met, up to cutoff_m.
+    """
+    num = len(directions)
+    geom, distance = np.full(num, -1, dtype=np.int32), np.full(num, -1.0)
+    groups = np.array([group in VISIBLE_GROUPS for group in range(mujoco.mjNGROUP)], dtype=np.uint8)
+    flat, start = np.ascontiguousarray(directions).ravel(), np.ascontiguousarray(origin, dtype=np.float64)
+    arguments = [model, data, start, flat, groups, 1, -1, geom, distance]
+    if "normal" in (mujoco.mj_multiRay.__doc__ or ""):  # an argument more since MuJoCo 3.4
+        arguments.append(None)
+    mujoco.mj_multiRay(*arguments, num, cutoff_m)
+    return distance, geom
 
 
 class OpenGLDepth:

@@ -1,5 +1,16 @@
-"""Data sets of meshes on disk, as sources of objects: ModelNet40, ShapeNet, and plain folders."""
+"""Data sets on disk: meshes of objects (ModelNet40, ShapeNet, plain folders), and KITTI's scans of traffic."""
 
+from gfp_grasp.datasets.kitti import Scan, TrafficBox, accumulated, read_bin, read_scans, read_tracks
 from gfp_grasp.datasets.layouts import LAYOUTS, layout_of, read_dataset
 
-__all__ = ["LAYOUTS", "layout_of", "read_dataset"]
+__all__ = [
+    "LAYOUTS",
+    "Scan",
+    "TrafficBox",
+    "accumulated",
+    "layout_of",
+    "read_bin",
+    "read_dataset",
+    "read_scans",
+    "read_tracks",
+]
