@@ -1,4 +1,4 @@
-"""Scans of traffic with boxes: KITTI's object and tracking layouts, and .npz files; cropping, and whole things by tracks.
+"""Scans of traffic with boxes: KITTI's object and tracking layouts, and .npz files; crops, and things over time.
 
 Everything is in the LiDAR's frame: x forward, y left, z up, metres, the sensor at the origin.
 """
