@@ -20,7 +20,7 @@ from gfp_grasp.errors import FitDiverged, InvalidOption, NoSurface
 from gfp_grasp.level import mark_observed
 from gfp_grasp.meshes import crossing_faces
 from gfp_grasp.misfit import misfit_of
-from gfp_grasp.openset import evidence_of_fit, evidence_of_look, probability_by_look, probability_unknown
+from gfp_grasp.openset import can_be_asked, evidence_of_fit, evidence_of_look, probability_by_look, probability_unknown
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.recognition import class_is_given, fit_likeliest
 from gfp_grasp.register import FitConfig, part_is_seen
@@ -44,6 +44,7 @@ class CompleteConfig:
         optional_parts: "card" keeps a part as the card of its class says; "seen" leaves out every part that no point
             supports, "always" none.
         unknown_above: Probability of being of no class from which on the class-free completion answers; 1 for never.
+            Nobody asks it of what a LiDAR saw.
         fall_back: Check what is returned against the points, the free space and their reach: what fails gives way to
             the class-free completion, and that to the hull of the points.
         collision: Budget of the convex parts, which are made at first access.
@@ -102,7 +103,7 @@ def answer(view: LevelView, detection: Detection, config: CompleteConfig, clock:
         FitDiverged: No primitive could be fitted, where config says not to fall back.
     """
     doubts = []
-    asked = not class_is_given(detection) and config.unknown_above < 1
+    asked = not class_is_given(detection) and config.unknown_above < 1 and can_be_asked(detection.sensor)
     look = evidence_of_look(detection, config.library) if asked else np.empty(0)
     unknown = probability_by_look(look) if asked else 0.0
     if not asked or unknown < config.unknown_above:

@@ -14,6 +14,7 @@ from gfp_grasp.arguments import checked_direction, checked_height, checked_place
 from gfp_grasp.clouds import order_points
 from gfp_grasp.completion import CompletedScene, Completion
 from gfp_grasp.detect import (
+    DETECTORS,
     DetectConfig,
     Detector,
     clean_cloud,
@@ -99,17 +100,17 @@ def complete_to_mesh(
 
 @one_thread()
 def complete_scene(
-    image: DepthImage,
+    image: DepthImage | RangeImage,
     *,
     up: ArrayLike | None = (0.0, 0.0, 1.0),
     detector: str | Detector = DEFAULT_DETECTOR,
     config: CompleteConfig | None = None,
     seed: int = 0,
 ) -> CompletedScene:
-    """Complete every object of a depth picture, largest first.
+    """Complete every object of a depth picture or of a LiDAR's scan, largest first.
 
     Args:
-        image: Depth, m, with intrinsics and pose.
+        image: Depth, m, with intrinsics and pose; or a scan, whose detector is told (`gfp_grasp.detect.GivenBoxes`).
         up: (3,) normal of the support in the world frame; None estimates it.
         detector: Name of a detector, see `gfp_grasp.detect.get_detector`, or a function like `detect_objects`.
         config: Switches.
@@ -122,14 +123,22 @@ def complete_scene(
     Raises:
         NothingDetected: No object stands out from the support.
         FitDiverged: No primitive fits any object.
-        InvalidView: Not a DepthImage, or its camera is so far from the origin that its pose cannot be in metres.
+        InvalidView: Neither of these, a scan for a detector of pictures, or a camera so far from the origin that its
+            pose cannot be in metres.
         UnknownDetector: No detector of that name.
         InvalidOption: The detector returned something else than detections.
     """
     _check_options(config, seed)
-    if not isinstance(image, DepthImage):
-        raise InvalidView(f"image is a {type(image).__name__}; a gfp_grasp.types.DepthImage is expected")
-    checked_pose(image.T_world_camera)
+    if isinstance(image, RangeImage):
+        if isinstance(detector, str) and detector in DETECTORS:
+            raise InvalidView(
+                f"detector {detector!r} looks at depth pictures, not at scans: give detector=GivenBoxes(boxes), or a "
+                "function of your own"
+            )
+    elif isinstance(image, DepthImage):
+        checked_pose(image.T_world_camera)
+    else:
+        raise InvalidView(f"image is a {type(image).__name__}; a gfp_grasp.types.DepthImage or RangeImage is expected")
     done, failure = [], None
     for detection in on_each_other(get_detector(detector)(image, up=checked_direction(up))):
         try:

@@ -21,6 +21,7 @@ from gfp_grasp.types import (
     DepthImage,
     Detection,
     FittedPrimitive,
+    RangeImage,
     SupportPlane,
     default_density,
 )
@@ -201,22 +202,22 @@ class Completion:
 
 @dataclass(frozen=True, eq=False)
 class CompletedScene(Sequence[Completion]):
-    """The completed objects of one picture, largest first.
+    """The completed objects of one picture or scan, largest first.
 
     Attributes:
         completions: The objects.
-        view: The picture.
+        view: The picture, or the scan.
         support: What they stand on; None where a detector does not tell.
         gave_way: Which objects were cut back where they reached into others.
     """
 
     completions: tuple[Completion, ...]
-    view: DepthImage
+    view: DepthImage | RangeImage
     support: SupportPlane | None
     gave_way: tuple[GaveWay, ...] = ()
 
     @classmethod
-    def of(cls, completions: Sequence[Completion], view: DepthImage) -> CompletedScene:
+    def of(cls, completions: Sequence[Completion], view: DepthImage | RangeImage) -> CompletedScene:
         """A scene of the completions of a picture, cut back where they reach into each other."""
         if not completions:
             return cls((), view, None)

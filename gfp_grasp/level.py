@@ -31,6 +31,7 @@ _NUM_DENSE = 1000  # points that have normals,
 _NUM_POINTS = 400  # and points among these that a fit looks at
 
 # Multiples of the sensor's noise:
+_FEW_AT_LIMIT = 5  # points within a step of the highest ring from which on an object is taken to go on above it
 _FREE_MARGIN = 4.0  # a surface may lie this far in front of a return
 _FLOOR_SEEN = 4 / 3  # standard deviation of a support that was seen,
 _FLOOR_GUESSED = (1.0, 2.0)  # and of one that is guessed from the lowest points, above and below it
@@ -75,6 +76,9 @@ def make_level_view(detection: Detection, *, seed: int = 0) -> LevelView:
         silhouette = _silhouette_of_view(detection.view.moved(T_level_world), detection.mask, sensor)
     elif viewpoint is not None:
         silhouette = guessed_silhouette(neighbourhood, viewpoint, sensor)
+    cut = None
+    if viewpoint is not None and sensor.highest_rad is not None:
+        silhouette, cut = _below_highest(silhouette, points, viewpoint, sensor)
     return LevelView(
         T_world_level=T,
         cloud=PointCloud(points, viewpoint),
@@ -88,6 +92,7 @@ def make_level_view(detection: Detection, *, seed: int = 0) -> LevelView:
         silhouette=silhouette,
         sensor=sensor,
         sigma_m=detection.sensor_sigma_m,
+        cut=cut,
         proposal=None if detection.proposal is None else detection.proposal.moved(T_level_world),
     )
 
@@ -173,8 +178,9 @@ def _lowest_m(points: np.ndarray, viewpoint: np.ndarray | None, sensor: SensorPr
     if viewpoint is None:
         return seen
     sight = viewpoint - points.mean(axis=0)
-    sine = float(np.clip(sight[2] / (np.linalg.norm(sight) + 1e-12), 0.0, 1.0))
-    return seen - _FOOT * sensor.sigma_m * sine
+    range_m = float(np.linalg.norm(sight))
+    sine = float(np.clip(sight[2] / (range_m + 1e-12), 0.0, 1.0))
+    return seen - _FOOT * sensor.sigma_m * sine - sensor.step_rad / 2 * range_m
 
 
 def _silhouette_of_view(view: View, mask: np.ndarray, sensor: SensorProfile) -> Silhouette:
@@ -198,8 +204,36 @@ def guessed_silhouette(points: np.ndarray, viewpoint: np.ndarray, sensor: Sensor
     column, row = np.rint(xy * focal + corner).astype(int).T
     mask[row, column] = True
     mask = ndimage.binary_closing(mask, structure=np.ones((3, 3)), iterations=2)
+    between = round(sensor.step_rad / 2 * focal)  # rows, above and below, in which no ring looked
+    if between:
+        mask = ndimage.binary_dilation(mask, structure=np.ones((2 * between + 1, 1)))
     view = DepthImage(np.zeros(mask.shape, dtype=np.float32), K, T_world_camera)
     return Silhouette(view, np.where(mask, 0.0, np.inf), False, _offset_to(mask), _FREE_MARGIN * sensor.sigma_m)
+
+
+def _below_highest(
+    silhouette: Silhouette | None, points: np.ndarray, viewpoint: np.ndarray, sensor: SensorProfile
+) -> tuple[Silhouette | None, np.ndarray | None]:
+    """What is known of an object that goes on above all rings: of its upper end nothing.
+
+    Returns:
+        The silhouette without what it says of places above the highest ring, and the plane beyond which the object is
+        out of sight (`LevelView.cut`), or None where its upper end was seen.
+    """
+    assert sensor.highest_rad is not None
+    away = points - viewpoint
+    elevation = np.arctan2(away[:, 2], np.linalg.norm(away[:, :2], axis=1))
+    limit = sensor.highest_rad - sensor.step_rad
+    if (elevation > limit).sum() < _FEW_AT_LIMIT:
+        return silhouette, None
+    if silhouette is not None and not silhouette.certain:
+        height, width = silhouette.view.shape
+        rows, columns = np.indices((height, width))
+        there = silhouette.view.unproject(np.stack([columns, rows], axis=-1), np.ones((height, width))) - viewpoint
+        above = np.arctan2(there[..., 2], np.linalg.norm(there[..., :2], axis=-1)) > limit
+        silhouette = replace(silhouette, free_range_m=np.where(above, 0.0, silhouette.free_range_m))
+    ahead = away[:, :2].mean(axis=0) / np.linalg.norm(away[:, :2].mean(axis=0))
+    return silhouette, np.array([*(-np.sin(limit) * ahead), np.cos(limit)])
 
 
 def _offset_to(mask: np.ndarray) -> np.ndarray:

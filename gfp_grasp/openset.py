@@ -18,7 +18,7 @@ from gfp_grasp.assets import data_file
 from gfp_grasp.misfit import Misfit
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.recognition import sureness
-from gfp_grasp.types import Detection, FittedPrimitive
+from gfp_grasp.types import TABLETOP, Detection, FittedPrimitive, SensorProfile
 
 _NEAREST = 0.005  # of distances from prototypes, below which they are not told apart
 _SURENESS = (0.02, 0.999)
@@ -53,7 +53,7 @@ def evidence_of_look(detection: Detection, library: PrimitiveLibrary) -> np.ndar
     from gfp_grasp.detect import distance_in  # torch is loaded where it is needed only
 
     assert detection.proposal is not None
-    distance = distance_in(detection.proposal.embedding, library)
+    distance = distance_in(detection.proposal.embedding, library, detection.sensor)
     sure = float(np.clip(sureness(detection.scores, library), *_SURENESS))
     return np.array([np.log(distance + _NEAREST), np.log1p(-sure) - np.log(sure)])
 
@@ -80,6 +80,11 @@ def evidence_of_fit(fit: FittedPrimitive, misfit: Misfit) -> np.ndarray:
             float(fit.spread_m is not None),
         ]
     )
+
+
+def can_be_asked(sensor: SensorProfile) -> bool:
+    """Whether the models know views of such a sensor: they learnt from things on tables."""
+    return sensor.largest_m <= TABLETOP.largest_m
 
 
 @cache

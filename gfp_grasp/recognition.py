@@ -32,11 +32,13 @@ def recognise(detection: Detection, library: PrimitiveLibrary) -> Detection:
 
     cloud, proposal = detection.cloud, detection.proposal
     if proposal is None:
-        proposal = look(cloud.points, detection.up, detection.support, viewpoint=cloud.viewpoint)
+        proposal = look(
+            cloud.points, detection.up, detection.support, viewpoint=cloud.viewpoint, sensor=detection.sensor
+        )
         detection = replace(detection, proposal=proposal)
     if detection.scores or detection.category:
         return detection
-    scores = scores_in(proposal.embedding, library)
+    scores = scores_in(proposal.embedding, library, detection.sensor)
     return replace(detection, category=max(scores, key=lambda name: scores[name]), scores=scores)
 
 
@@ -137,4 +139,4 @@ def _shares(detection: Detection, primitives: Sequence[GenericPrimitive]) -> dic
         return {}
     from gfp_grasp.detect import shares_in  # torch is loaded where it is needed only
 
-    return shares_in(detection.proposal.embedding, primitives)
+    return shares_in(detection.proposal.embedding, primitives, detection.sensor)

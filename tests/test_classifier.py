@@ -12,14 +12,16 @@ from gfp_grasp.detect import (
     Prototypes,
     class_scores,
     classify,
+    distance_in,
     look,
     mixture,
+    scores_in,
     shares_in,
 )
 from gfp_grasp.detect import classifier as module
 from gfp_grasp.errors import UnreadableFile
 from gfp_grasp.primitives import PrimitiveLibrary, save_primitive
-from gfp_grasp.types import SupportPlane
+from gfp_grasp.types import LIDAR, SupportPlane
 
 UP = np.array([0.0, 0.0, 1.0])
 TABLE = SupportPlane(UP, 0.0)
@@ -136,3 +138,26 @@ def test_prototypes_of_another_network_are_refused_with_the_command_that_helps(t
     )
     with pytest.raises(UnreadableFile, match="gps prototypes --gps"):
         classify(_standing_tube(np.random.default_rng(3)), UP, TABLE, library=PrimitiveLibrary(tmp_path))
+
+
+def test_to_a_lidar_the_classes_are_those_of_its_own_network_and_those_that_do_not_ship(
+    monkeypatch: pytest.MonkeyPatch, tmp_path
+):
+    """A car looks like one of the network's cars; cups take no part; a user's class is what nothing is like."""
+    library = PrimitiveLibrary.shipped()
+    card = {"config": {"channels": 4}, "metrics": {"temperature": 0.05, "reach": 0.3}}
+    monkeypatch.setattr(module, "load_card", lambda weights="proposal": card)
+    monkeypatch.setattr(module, "load_prototypes", lambda weights: {"car": np.eye(4)[:2], "bus": np.eye(4)[2:3]})
+    scores = scores_in(np.eye(4)[1], library, LIDAR)
+    assert set(scores) == {"car", "bus"}
+    assert scores["car"] > 0.99
+    assert distance_in(np.array([0.6, 0, 0.8, 0]), library, LIDAR) == pytest.approx(0.2)
+    car = library.primitive("car")
+    save_primitive(replace(car, category="tractor", spec=None), tmp_path)
+    own = PrimitiveLibrary.with_shipped(tmp_path)
+    scores = scores_in(np.eye(4)[3], own, LIDAR)
+    assert list(scores.values()) == pytest.approx([1 / 3] * 3, abs=1e-4)
+    assert scores_in(np.eye(4)[0], own, LIDAR)["tractor"] < 0.01
+    shares = shares_in(np.eye(4)[0], library.members_of("car"), LIDAR)
+    stated = np.array([p.spec.share for p in library.members_of("car")])
+    assert list(shares.values()) == pytest.approx((stated / stated.sum()).tolist())

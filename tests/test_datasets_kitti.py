@@ -109,7 +109,7 @@ def test_scans_and_tracks_may_be_npz(tmp_path: Path):
     np.savez(tmp_path / "b.npz", points=points, boxes=boxes, classes=np.array(["Van", "Tram"]))
     np.savez(tmp_path / "t_cyclist.npz", frames=[3, 4], counts=[1, 1], points=points, boxes=boxes)
     (scan,) = read_scans(tmp_path)
-    assert ([box.category for box in scan.boxes], scan.boxes[0].yaw_rad) == (["van", "bus"], 0.3)
+    assert ([box.category for box in scan.boxes], scan.boxes[0].yaw_rad) == (["van", "tram"], 0.3)
     np.testing.assert_allclose(scan.intensity, [0.5, 0.7])
     ((name, views),) = read_tracks(tmp_path).items()
     assert (name, views[1][1].category, views[1][0].tolist()) == ("t_cyclist", "cyclist", [[9.0, 1.0, -1.0]])

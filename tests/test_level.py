@@ -11,7 +11,7 @@ from gfp_grasp import level
 from gfp_grasp.errors import TooFewPoints
 from gfp_grasp.level import MIN_POINTS, guessed_silhouette, level_frame, make_level_view
 from gfp_grasp.transforms import apply_T, invert_T, make_T, rotation_about
-from gfp_grasp.types import Detection, SupportPlane, get_sensor
+from gfp_grasp.types import LIDAR, Detection, LevelView, OrientedBox, PointCloud, SupportPlane, get_sensor
 
 TABLETOP = get_sensor("tabletop")
 UP = np.array([0.0, 0.0, 1.0])
@@ -172,3 +172,54 @@ def test_x_of_a_level_frame_is_the_short_side_with_the_longer_tail_where_nothing
     aside = level_frame(points, UP, points.mean(axis=0) + np.array((0.0, -0.0011, 1.0)))
     np.testing.assert_allclose(aside[:3, 0], (0.0, -1.0, 0.0), atol=1e-9)
     np.testing.assert_allclose(make_T(aside[:3, :3], points.mean(axis=0)), aside)
+
+
+def side_of_a_bus(distance_m: float, *, num_rings: int = 20) -> np.ndarray:
+    """(n, 3) m, world: a wall 8 m long seen from 1.7 m up, as rings from the highest of a LiDAR down have it."""
+    assert LIDAR.highest_rad is not None
+    elevation = LIDAR.highest_rad - LIDAR.step_rad * np.arange(num_rings)
+    y = np.linspace(-4.0, 4.0, 60)
+    return np.array([(distance_m, place, 1.7 + distance_m * np.tan(angle)) for angle in elevation for place in y])
+
+
+def seen_by_lidar(points: np.ndarray) -> LevelView:
+    eye = np.array([0.0, 0.0, 1.7])
+    box = OrientedBox(make_T(None, points.mean(axis=0)), np.ptp(points, axis=0) + 0.1)
+    detection = Detection(PointCloud(points, eye), np.array([0, 0, 1.0]), None, "", {}, box, sensor=LIDAR)
+    return make_level_view(detection)
+
+
+def test_what_reaches_the_highest_ring_goes_on_above_it_as_far_as_anyone_knows() -> None:
+    view = seen_by_lidar(side_of_a_bus(10.0))
+    assert view.cut is not None
+    assert view.viewpoint is not None
+    assert LIDAR.highest_rad is not None
+    away = -view.viewpoint
+    ahead = np.array([*away[:2], 0.0]) / np.linalg.norm(away[:2])
+    limit = LIDAR.highest_rad - LIDAR.step_rad
+    for angle, beyond in ((limit + 0.005, True), (limit - 0.005, False)):
+        direction = np.cos(angle) * ahead + np.sin(angle) * np.array([0, 0, 1.0])
+        assert (direction @ view.cut > 0) == beyond
+    silhouette = view.silhouette
+    assert silhouette is not None
+    above = view.viewpoint + 10.0 * ahead + np.array([[0, 0, 0.5]])
+    below = view.viewpoint + 10.0 * ahead + np.array([[0, 0, -1.9]])
+    assert len(silhouette.free_space_violation(above)[0]) == 0
+    assert len(silhouette.free_space_violation(below)[0]) == 1
+
+
+def test_what_ends_below_the_highest_ring_was_seen_to_its_top() -> None:
+    assert seen_by_lidar(side_of_a_bus(10.0)[4 * 60 :]).cut is None
+
+
+def test_a_foot_and_a_top_between_two_rings_may_be_half_a_step_beyond_the_points() -> None:
+    """At 10 m rings are 7.3 cm apart: the floor is guessed half of that lower, and half of it above is not free."""
+    points = side_of_a_bus(10.0)[4 * 60 :]
+    view = seen_by_lidar(points)
+    lowest = float((points - points.mean(axis=0))[:, 2].min())
+    sine = float((1.7 - points.mean(axis=0)[2]) / np.linalg.norm(points.mean(axis=0) - [0, 0, 1.7]))
+    assert view.floor_m == pytest.approx(lowest - 8 / 3 * 0.02 * sine - 10.0 * LIDAR.step_rad / 2, abs=0.01)
+    assert view.silhouette is not None
+    top = np.array([0.0, 0.0, float((points - points.mean(axis=0))[:, 2].max())])
+    free = [len(view.silhouette.free_space_violation(top[None] + [0, 0, up])[0]) for up in (0.03, 0.12)]
+    assert free == [0, 1]

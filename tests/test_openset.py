@@ -21,7 +21,7 @@ from gfp_grasp.openset import (
     probability_unknown,
 )
 from gfp_grasp.primitives import PrimitiveLibrary
-from gfp_grasp.types import FittedPrimitive
+from gfp_grasp.types import TABLETOP, FittedPrimitive
 
 PRIMITIVE = wedge_primitive()
 
@@ -40,7 +40,7 @@ def test_a_look_is_doubtful_where_it_is_far_from_all_prototypes_and_the_classifi
     recorded(monkeypatch, "gfp_grasp.openset.sureness", 0.8)
     detection = replace(toy_completion().detection, proposal=SimpleNamespace(embedding="embedding"))  # type: ignore[arg-type]
     evidence = evidence_of_look(detection, "library")  # type: ignore[arg-type]
-    assert asked.only[0] == ("embedding", "library")
+    assert asked.only[0] == ("embedding", "library", TABLETOP)
     np.testing.assert_allclose(evidence, [np.log(0.05), np.log(0.2 / 0.8)])
 
 

@@ -20,7 +20,7 @@ from gfp_grasp.recognition import (
     sureness,
 )
 from gfp_grasp.register import FitConfig
-from gfp_grasp.types import OrientedBox, Proposal
+from gfp_grasp.types import LIDAR, TABLETOP, OrientedBox, Proposal
 
 PROPOSAL = Proposal(
     OrientedBox(np.eye(4), np.array([0.08, 0.07, 0.1])), {"upright": 0.9, "lying": 0.1}, 0.4, ("cup",), np.ones(2)
@@ -89,8 +89,8 @@ def test_of_a_class_those_primitives_are_tried_that_one_look_finds_likely(monkey
     assert candidates("cup", {}, 0.1, True, looked=PROPOSAL) == [("cup.lidded", pytest.approx(-np.log(0.95)))]
     assert candidates("cup", scores, 0.1, False, looked=PROPOSAL)[0] == ("cup", pytest.approx(-np.log(0.6) + 0.5))
     assert len(asked.calls) == 3
-    (embedding, members), _ = asked.calls[0]
-    assert embedding is PROPOSAL.embedding
+    (embedding, members, sensor), _ = asked.calls[0]
+    assert (embedding is PROPOSAL.embedding, sensor) == (True, TABLETOP)
     assert [primitive.name for primitive in members] == ["cup", "cup.lidded"]
 
 
@@ -111,15 +111,15 @@ def test_what_is_known_is_not_asked_for_again_and_else_the_best_class_is_taken(m
         assert (made.category, made.scores) == (known.detection.category, known.detection.scores)
     assert not score.calls
     ask.calls.clear()
-    detection = toy_completion(category="").detection
+    detection = replace(toy_completion(category="").detection, sensor=LIDAR)
     made = recognise(detection, LIBRARY)
     assert (made.category, made.scores) == ("mug", {"cup": 0.3, "mug": 0.7})
     assert made.proposal is PROPOSAL
     (points, up, support), named = ask.only
     assert (points is detection.cloud.points, up is detection.up) == (True, True)
     assert support is detection.support
-    assert named == {"viewpoint": detection.cloud.viewpoint}
-    assert score.only == ((PROPOSAL.embedding, LIBRARY), {})
+    assert (named["viewpoint"] is detection.cloud.viewpoint, named["sensor"]) == (True, LIDAR)
+    assert score.only == ((PROPOSAL.embedding, LIBRARY, LIDAR), {})
     other = replace(PROPOSAL, sure_of_front=0.1)
     assert recognise(replace(detection, proposal=other), LIBRARY).proposal is other
     assert len(ask.calls) == 1

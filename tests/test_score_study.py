@@ -24,6 +24,10 @@ def scores(tmp_path: Path) -> list[Path]:
     return paths
 
 
+def named(scores: list[Path]) -> dict[str, Path]:
+    return {path.stem: path for path in scores}
+
+
 def test_a_report_is_read_as_it_was_written(scores: list[Path]):
     report = read_report(scores[0])
     assert report.to_json() + "\n" == scores[0].read_text()
@@ -31,7 +35,7 @@ def test_a_report_is_read_as_it_was_written(scores: list[Path]):
 
 
 def test_sets_stand_side_by_side_and_together(scores: list[Path]):
-    sets = study(scores)["sets"]
+    sets = study(named(scores))["sets"]
     assert list(sets) == ["cups", "tools", TOGETHER]
     assert sets["tools"]["settings"] == {"objects": "tools"}
     assert [sets[name]["completers"]["mirror"]["successes"] for name in sets] == [1, 0, 1]
@@ -42,7 +46,7 @@ def test_sets_stand_side_by_side_and_together(scores: list[Path]):
 
 def test_objects_of_one_name_in_two_sets_are_two_objects(scores: list[Path]):
     """Both sets call theirs `a`: together the interval is over two objects, with one alone it has no width."""
-    sets = study(scores)["sets"]
+    sets = study(named(scores))["sets"]
     low, high = sets["cups"]["paired"]["mirror"]["oracle"]["margin_ci95"]
     assert low == high
     low, high = sets[TOGETHER]["paired"]["mirror"]["oracle"]["margin_ci95"]
@@ -50,7 +54,7 @@ def test_objects_of_one_name_in_two_sets_are_two_objects(scores: list[Path]):
 
 
 def test_promises_that_the_completed_world_did_not_keep_are_counted(scores: list[Path]):
-    sets = study(scores)["sets"]
+    sets = study(named(scores))["sets"]
     assert [sets[name]["broken_promises"]["mirror"] for name in sets] == [
         {"no_contact": 1},
         {"no_contact": 1},
@@ -63,19 +67,19 @@ def test_what_is_no_score_is_refused(scores: list[Path], tmp_path: Path):
     other = tmp_path / "other.json"
     other.write_text('{"trials": 3}')
     with pytest.raises(UnreadableFile, match=r"other\.json is no score"):
-        study([scores[0], other])
+        study(named([scores[0], other]))
     with pytest.raises(UnreadableFile, match=r"missing\.json"):
         read_report(tmp_path / "missing.json")
-    with pytest.raises(InvalidOption, match="at least one"):
-        study([])
-    with pytest.raises(InvalidOption, match="a name of its own"):
-        study([scores[0], scores[0]])
+    with pytest.raises(InvalidOption, match="sets are none"):
+        study({})
+    with pytest.raises(InvalidOption, match="none called together"):
+        study({TOGETHER: scores[0]})
     Report({}, (replace(a_row("mirror", 0, True, True), margin=None),)).write(other)
     with pytest.raises(InvalidOption, match="without a margin"):
-        study([other])
+        study(named([other]))
     Report({}, (a_row("oracle", 0, True, True),)).write(other)
     with pytest.raises(InvalidOption, match="completers oracle and cups mirror, oracle"):
-        study([scores[0], other])
+        study(named([scores[0], other]))
 
 
 def test_the_command_prints_draws_and_writes(
@@ -83,11 +87,14 @@ def test_the_command_prints_draws_and_writes(
 ):
     monkeypatch.setenv("COLUMNS", "250")
     drawn, written = tmp_path / "study.svg", tmp_path / "study.json"
-    assert run("bench study", *scores, "--picture", drawn, "--json", written) == 0
+    assert run("bench study", scores[0], f"hand tools={scores[1]}", "--picture", drawn, "--json", written) == 0
     told = capsys.readouterr().out
     assert "-2.75 (-3.00 to -2.00)" in told
     assert "no_contact 2" in told
-    assert json.loads(written.read_text())["sets"] == study(scores)["sets"]
+    known = study({"cups": scores[0], "hand tools": scores[1]})
+    assert json.loads(written.read_text())["sets"] == known["sets"]
     chart = drawn.read_text()
-    assert "tools, 1 views" in chart
+    assert "hand tools, 1 views" in chart
     assert chart.count("<circle") == 6
+    assert run("bench study", scores[0], scores[0]) != 0
+    assert "2 scores have 1 names" in capsys.readouterr().err

@@ -172,6 +172,7 @@ def _one_sample(order: float = 1) -> Targets:
         box=np.array([[[0.02, -0.03, 0.11], [0.3, 0.2, 0.5]]]),
         order=np.array([order]),
         num_views=1,
+        floor_m=0.006,
     )
 
 

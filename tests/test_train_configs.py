@@ -17,17 +17,18 @@ from gfp_grasp.errors import UnreadableFile
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.register import FitConfig
 from gfp_grasp.scenes import shipped_families
-from gfp_grasp.shapes import FAMILIES
-from gfp_grasp.train import ProposalConfig, gfpnet, pcrnet, proposal
+from gfp_grasp.shapes import FAMILIES, TRAFFIC
+from gfp_grasp.train import LIDAR_CONFIG, ProposalConfig, gfpnet, pcrnet, proposal
 from gfp_grasp.train.gfpnet import GFPNET_CONFIGS, measure_paper, paper_loss, patches_of_split, train_gfpnet
 from gfp_grasp.train.loop import training_key
 from gfp_grasp.train.pcrnet import PCRNET_CONFIG, train_pcrnet
 from gfp_grasp.train.proposal import train_proposal
 from gfp_grasp.train.proposal_batches import Targets
 from gfp_grasp.train.proposal_data import VIEWS, Example
+from gfp_grasp.types import LIDAR, TABLETOP
 
 LIBRARY = PrimitiveLibrary.shipped()
-CONFIGS = {"proposal": ProposalConfig(), "pcrnet": PCRNET_CONFIG} | {
+CONFIGS = {"proposal": ProposalConfig(), "proposal_lidar": LIDAR_CONFIG, "pcrnet": PCRNET_CONFIG} | {
     WEIGHTS[variant]: config for variant, config in GFPNET_CONFIGS.items()
 }
 
@@ -246,7 +247,7 @@ def proposal_run(monkeypatch) -> SimpleNamespace:
         zeros = np.zeros(4)
         pool, R, box = np.zeros((4, 5, 9), np.float16), np.zeros((4, 3, 3)), np.zeros((4, 2, 3))
         classes, class_of = np.zeros((4, 2), np.float32), torch.tensor([0, 1, 0])
-        return Targets(pool, zeros, classes, zeros, class_of, zeros, R, box, zeros, 2)
+        return Targets(pool, zeros, classes, zeros, class_of, zeros, R, box, zeros, 2, 0.006)
 
     def measured(*args):
         seen.measured.append(args)
@@ -273,13 +274,13 @@ def test_the_proposal_network_is_trained_calibrated_and_measured_on_apart_views(
         config, out=tmp_path, cache=tmp_path / "c", workers=2, report=print, classes=["mug", "cup"]
     )
     seen, names = proposal_run, ("mug", "cup")
-    shared = {"data": None, "workers": 2, "folder": tmp_path / "c", "classes": names}
+    shared = {"data": None, "sensor": TABLETOP, "workers": 2, "folder": tmp_path / "c", "classes": names}
     assert seen.views == [
         (name, split, {**shared, "num_views": count, "limit": limit})
         for split, count, limit in (("train", 5, 10), ("val", 2, 2), ("test", 4, 2))
         for name in names
     ]
-    knobs = {"num_views": 2, "workers": 2, "folder": tmp_path / "c"}
+    knobs = {"num_views": 2, "sensor": TABLETOP, "workers": 2, "folder": tmp_path / "c"}
     assert seen.others == [
         (0, 25, {**knobs, "num_members": 4}),
         (1000, 2, {**knobs, "num_members": 2}),
@@ -297,7 +298,7 @@ def test_the_proposal_network_is_trained_calibrated_and_measured_on_apart_views(
     half = fresh.network.half().float().state_dict()
     assert all(torch.equal(half[key], value) for key, value in written.network.state_dict().items())
     assert metrics == written.metrics == {"temperature": 0.12346, "reach": 0.98765, "accuracy": 0.5, "up_deg": 3.0}
-    assert written.path == tmp_path / "proposal.safetensors"
+    assert (written.path, written.beside) == (tmp_path / "proposal.safetensors", {})
     assert (written.config, written.hours) == (config, 1.5)
     assert written.data == {
         "classes": ["mug", "cup"],
@@ -345,3 +346,18 @@ def test_errors_of_patches_are_measured_in_millimetres() -> None:
         "mean_error_before_mm": pytest.approx(10.0, abs=2e-3),
         "mean_error_after_mm": pytest.approx(20 * (0.25 + np.hypot(1, 0.25)) / 2, abs=2e-3),
     }
+
+
+def test_the_network_of_a_lidar_learns_traffic_and_keeps_its_prototypes(
+    proposal_run, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    own = {"car": SimpleNamespace(vectors=np.eye(3))}
+    monkeypatch.setattr(proposal, "_prototypes", lambda network, examples, seed: own)
+    train_proposal(replace(LIDAR_CONFIG, kinds=3, width=8, channels=8), out=tmp_path, cache=tmp_path)
+    assert [name for name, split, _ in proposal_run.views if split == "val"] == list(TRAFFIC)
+    assert {knobs["sensor"] for _, _, knobs in proposal_run.views} == {LIDAR}
+    assert {knobs["sensor"] for _, _, knobs in proposal_run.others} == {LIDAR}
+    (written,) = proposal_run.run.written
+    assert written.path == tmp_path / "proposal_lidar.safetensors"
+    assert list(written.beside) == ["prototypes.car"]
+    np.testing.assert_array_equal(written.beside["prototypes.car"], np.eye(3))

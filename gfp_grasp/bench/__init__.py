@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from gfp_grasp.bench.finding import paint_rooms
     from gfp_grasp.bench.hollow import bench_hollow
     from gfp_grasp.bench.hostile import HostileConfig, bench_hostile
+    from gfp_grasp.bench.kitti import KittiConfig, bench_kitti
     from gfp_grasp.bench.methods import BRIEF, METHODS
     from gfp_grasp.bench.openset import bench_openset
     from gfp_grasp.bench.primitives import bench_primitives
@@ -39,6 +40,8 @@ _HOMES = {
     "bench_detection": ("detection", "bench_detection"),
     "bench_hollow": ("hollow", "bench_hollow"),
     "bench_hostile": ("hostile", "bench_hostile"),
+    "KittiConfig": ("kitti", "KittiConfig"),
+    "bench_kitti": ("kitti", "bench_kitti"),
     "bench_openset": ("openset", "bench_openset"),
     "bench_primitives": ("primitives", "bench_primitives"),
     "bench_ready": ("ready", "bench_ready"),
@@ -61,6 +64,7 @@ __all__ = [
     "AblationConfig",
     "CompletionConfig",
     "HostileConfig",
+    "KittiConfig",
     "ReadyConfig",
     "RegistrationConfig",
     "bench_ablation",
@@ -69,6 +73,7 @@ __all__ = [
     "bench_detection",
     "bench_hollow",
     "bench_hostile",
+    "bench_kitti",
     "bench_openset",
     "bench_primitives",
     "bench_ready",

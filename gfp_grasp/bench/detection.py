@@ -24,10 +24,10 @@ from gfp_grasp.bench.finding import (
     room_pictures,
     table_pictures,
 )
-from gfp_grasp.detect import FLOOR_M, classify, detect_objects
+from gfp_grasp.detect import classify, detect_objects
 from gfp_grasp.errors import NothingDetected
 from gfp_grasp.primitives import PrimitiveLibrary
-from gfp_grasp.train import CACHE, Example, assorted_examples, class_examples
+from gfp_grasp.train import CACHE, Example, above_table, assorted_examples, class_examples
 from gfp_grasp.types import DepthImage, SupportPlane
 
 _SCENES = 40  # rendered, of each kind
@@ -124,8 +124,7 @@ def _calibration(sure: np.ndarray, right: np.ndarray) -> list[dict[str, float]]:
 
 
 def _scores(example: Example) -> dict[str, float]:
-    above = example.points[example.points[:, 2] > FLOOR_M]
-    return classify(above, UP, SupportPlane(UP, 0.0), viewpoint=example.viewpoint)
+    return classify(above_table(example), UP, SupportPlane(UP, 0.0), viewpoint=example.viewpoint)
 
 
 def _single_captures(data: Path) -> list[Path]:

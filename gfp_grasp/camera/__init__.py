@@ -3,11 +3,12 @@
 `render_depth` and `scan_scene` need MuJoCo and load it at first use; everything else here is numpy, scipy and Embree.
 """
 
+from importlib import import_module
 from typing import TYPE_CHECKING
 
 from gfp_grasp.camera.cast import cast_rays, render_mesh_view, visible_points
 from gfp_grasp.camera.frames import SensorFrame, sensor_frame
-from gfp_grasp.camera.lidar import HDL_64, LidarModel, scan_meshes, scan_scene
+from gfp_grasp.camera.lidar import HDL_64, LidarModel, range_image, scan_meshes
 from gfp_grasp.camera.pinhole import (
     camera_points,
     cloud_of,
@@ -21,7 +22,7 @@ from gfp_grasp.camera.pinhole import (
 from gfp_grasp.camera.sensor import SensorModel, apply_sensor
 
 if TYPE_CHECKING:
-    from gfp_grasp.camera.render import render_depth
+    from gfp_grasp.camera.render import render_depth, scan_scene
 
 __all__ = [
     "HDL_64",
@@ -35,6 +36,7 @@ __all__ = [
     "intrinsics",
     "mask_of_points",
     "pixel_rays",
+    "range_image",
     "render_depth",
     "render_mesh_view",
     "sample_viewpoint",
@@ -48,8 +50,6 @@ __all__ = [
 
 
 def __getattr__(name: str) -> object:
-    if name == "render_depth":
-        from gfp_grasp.camera.render import render_depth
-
-        return render_depth
+    if name in ("render_depth", "scan_scene"):
+        return getattr(import_module("gfp_grasp.camera.render"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

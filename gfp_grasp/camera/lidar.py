@@ -1,23 +1,19 @@
-"""Scans of a spinning multi-beam LiDAR, of bare meshes or of a MuJoCo scene: rings by azimuth, noise, lost returns."""
+"""Scans of a spinning multi-beam LiDAR, of bare meshes: rings by azimuth, noise, lost returns.
 
-# MuJoCo's names come from compiled modules, into which the type checker does not see.
-# pyright: reportAttributeAccessIssue=false
+`render.scan_scene` scans a MuJoCo scene.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import trimesh
 
 from gfp_grasp.camera.cast import cast_rays, checked_mesh
 from gfp_grasp.errors import InvalidOption
-from gfp_grasp.types import RangeImage
-
-if TYPE_CHECKING:
-    import mujoco
+from gfp_grasp.types import RangeImage, pixels_of
 
 
 @dataclass(frozen=True)
@@ -118,43 +114,47 @@ def scan_meshes(
             to_ground = (ground_m - origin[2]) / flat[:, 2]
         under = (to_ground > 0) & (to_ground < range_m)
         range_m, index = np.where(under, to_ground, range_m), np.where(under, len(meshes), index)
-    return _scan(range_m, index, lidar, T_world_sensor, rng)
+    return scan_of_hits(range_m, index, lidar, T_world_sensor, rng)
 
 
-def scan_scene(
-    model: mujoco.MjModel,
-    data: mujoco.MjData,
-    *,
-    T_world_sensor: np.ndarray,
-    lidar: LidarModel = HDL_64,
-    rng: np.random.Generator | None = None,
-) -> tuple[RangeImage, np.ndarray]:
-    """One turn in a MuJoCo scene as `data` stands (after mj_forward or a step).
+def range_image(
+    points: np.ndarray, *, lidar: LidarModel = HDL_64, T_world_sensor: np.ndarray | None = None
+) -> RangeImage:
+    """A scan that is a list of points, as a picture: of the points in one pixel the nearest is kept.
 
     Args:
-        model: The compiled scene; geoms of groups 0 to 2 are seen.
-        data: Its state.
-        T_world_sensor: (4, 4).
-        lidar: Rings, shots and noise.
-        rng: Draws noise and lost returns; None leaves both out.
-
-    Returns:
-        The scan, and the geom id (h, w) int32 that each shot met, -1 nothing.
+        points: (n, 3) m, world frame; what lies outside of the rings is left out.
+        lidar: The scanner's rings and shots.
+        T_world_sensor: (4, 4); None has the sensor at the origin, as KITTI's scans have it.
     """
-    from gfp_grasp.camera.render import cast_scene  # MuJoCo is loaded where it is needed only
+    shape = len(lidar.elevation_deg), lidar.columns
+    T = np.eye(4) if T_world_sensor is None else T_world_sensor
+    empty = RangeImage(np.zeros(shape), np.deg2rad(lidar.elevation_deg), _AZIMUTH_RAD, T)
+    _, flat, _, range_m = pixels_of(points, empty)
+    nearest = np.full(shape[0] * shape[1], np.inf)
+    np.minimum.at(nearest, flat, range_m)
+    return RangeImage(np.where(np.isfinite(nearest), nearest, 0.0).reshape(shape), empty.elevation_rad, _AZIMUTH_RAD, T)
 
-    directions = (lidar.rays() @ T_world_sensor[:3, :3].T).reshape(-1, 3)
-    range_m, geom = cast_scene(model, data, T_world_sensor[:3, 3], directions, cutoff_m=lidar.farthest_m)
-    return _scan(np.where(geom < 0, np.inf, range_m), geom, lidar, T_world_sensor, rng)
 
-
-def _scan(
+def scan_of_hits(
     range_m: np.ndarray,
     index: np.ndarray,
     lidar: LidarModel,
     T_world_sensor: np.ndarray,
     rng: np.random.Generator | None,
 ) -> tuple[RangeImage, np.ndarray]:
+    """The scan that a scanner makes of what its shots meet.
+
+    Args:
+        range_m: (h * w,) m, inf where nothing is met.
+        index: (h * w,) what is met.
+        lidar: Rings, shots and noise.
+        T_world_sensor: (4, 4).
+        rng: Draws noise and lost returns; None leaves both out.
+
+    Returns:
+        The scan, and what its returns met (h, w) int32, -1 where nothing came back.
+    """
     shape = len(lidar.elevation_deg), lidar.columns
     range_m, index = range_m.reshape(shape), index.reshape(shape)
     if rng is None:

@@ -13,10 +13,12 @@ import mujoco
 import numpy as np
 
 from gfp_grasp.camera.cast import FARTHEST_M
+from gfp_grasp.camera.lidar import HDL_64, LidarModel, scan_of_hits
 from gfp_grasp.camera.opengl_probe import opengl_backend
 from gfp_grasp.camera.pinhole import pixel_rays
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.transforms import FLIP_YZ
+from gfp_grasp.types import RangeImage
 
 VISIBLE_GROUPS = (0, 1, 2)  # MuJoCo's own default; our collision parts are in group 3
 
@@ -103,6 +105,31 @@ def cast_scene(
         arguments.append(None)
     mujoco.mj_multiRay(*arguments, num, cutoff_m)
     return distance, geom
+
+
+def scan_scene(
+    model: mujoco.MjModel,
+    data: mujoco.MjData,
+    *,
+    T_world_sensor: np.ndarray,
+    lidar: LidarModel = HDL_64,
+    rng: np.random.Generator | None = None,
+) -> tuple[RangeImage, np.ndarray]:
+    """One turn in a MuJoCo scene as `data` stands (after mj_forward or a step).
+
+    Args:
+        model: The compiled scene; geoms of groups 0 to 2 are seen.
+        data: Its state.
+        T_world_sensor: (4, 4).
+        lidar: Rings, shots and noise.
+        rng: Draws noise and lost returns; None leaves both out.
+
+    Returns:
+        The scan, and the geom id (h, w) int32 that each shot met, -1 nothing.
+    """
+    directions = (lidar.rays() @ T_world_sensor[:3, :3].T).reshape(-1, 3)
+    range_m, geom = cast_scene(model, data, T_world_sensor[:3, 3], directions, cutoff_m=lidar.farthest_m)
+    return scan_of_hits(np.where(geom < 0, np.inf, range_m), geom, lidar, T_world_sensor, rng)
 
 
 class OpenGLDepth:

@@ -227,42 +227,6 @@ def _of_hull(figures: Mapping) -> str:
 
 
 @bench.command()
-def study(
-    scores: Annotated[list[Path], typer.Argument(help="JSON of gfp-grasp score, one file for each set of objects.")],
-    json_file: JsonFile = None,
-    picture: Annotated[Path | None, typer.Option(dir_okay=False, help="Draw the margins to this .svg file.")] = None,
-) -> None:
-    """What completion is worth: scores of several sets of objects side by side, and all of them together."""
-    from gfp_grasp.drawing import write_margins
-    from gfp_grasp.score import study as side_by_side
-
-    report = side_by_side(scores)
-    rivals = ("oracle", "gfpnet")
-    for name, found in report["sets"].items():
-        cells = [
-            (
-                method,
-                f"{figures['successes']}/{figures['attempts']}",
-                f"{figures['margin']:.2f} ({figures['margin_ci95'][0]:.2f} to {figures['margin_ci95'][1]:.2f})",
-                *(_margin_gain(found["paired"][method].get(other)) for other in rivals),
-                ", ".join(f"{reason} {count}" for reason, count in found["broken_promises"][method].items()) or "-",
-            )
-            for method, figures in found["completers"].items()
-        ]
-        beside = (f"less {other}'s" for other in rivals)
-        table(("completer", "held", "margin", *beside, "held in the completed world alone"), cells, title=name)
-    if picture is not None:
-        write_margins({name: found["completers"] for name, found in report["sets"].items()}, picture)
-    save_json(json_file, report)
-
-
-def _margin_gain(pair: Mapping | None) -> str:
-    if pair is None:
-        return "-"
-    return f"{pair['margin']:+.2f} ({pair['margin_ci95'][0]:+.2f} to {pair['margin_ci95'][1]:+.2f})"
-
-
-@bench.command()
 def ablation(
     steps: Annotated[int, typer.Option(min=1, help="Steps of each network.")] = 200,
     limit: Annotated[int, typer.Option(min=1, help="Shapes of each family.")] = 60,

@@ -155,6 +155,7 @@ def proposal(
     classes: Classes = None,
     data: Data = None,
     folder: Annotated[Path, typer.Option("--out", help="Folder of the weights.")] = Path("gfp_grasp/weights"),
+    sensor: Annotated[str, typer.Option(help="tabletop, or lidar for scans of traffic.")] = "tabletop",
     steps: Steps = None,
     limit: LimitOfEach = None,
     device: Device = "cpu",
@@ -163,9 +164,11 @@ def proposal(
     seed: Seed = 0,
 ) -> None:
     """The network that tells classes apart and proposes pose and size; then `gps prototypes` makes those anew."""
-    from gfp_grasp.train import ProposalConfig, train_proposal
+    from gfp_grasp.train import LIDAR_CONFIG, ProposalConfig, train_proposal
+    from gfp_grasp.types import LIDAR, get_sensor
 
-    config = ProposalConfig(seed=seed, device=device)
+    shipped = LIDAR_CONFIG if get_sensor(sensor) is LIDAR else ProposalConfig()
+    config = replace(shipped, seed=seed, device=device)
     config = replace(config, steps=steps or config.steps, limit=limit or config.limit)
     with _bar("proposal", config.steps) as report:
         metrics = train_proposal(

@@ -1,9 +1,10 @@
 """Data sets on disk: meshes of objects (ModelNet40, ShapeNet, plain folders), and KITTI's scans of traffic."""
 
-from gfp_grasp.datasets.kitti import Scan, TrafficBox, accumulated, read_bin, read_scans, read_tracks
+from gfp_grasp.datasets.kitti import ALIKE, Scan, TrafficBox, accumulated, read_bin, read_scans, read_tracks
 from gfp_grasp.datasets.layouts import LAYOUTS, layout_of, read_dataset
 
 __all__ = [
+    "ALIKE",
     "LAYOUTS",
     "Scan",
     "TrafficBox",

@@ -23,12 +23,13 @@ CLASSES = {
     "van": "van",
     "truck": "truck",
     "bus": "bus",
-    "tram": "bus",
     "pedestrian": "pedestrian",
     "person": "pedestrian",
     "person_sitting": "pedestrian",
     "cyclist": "cyclist",
 }
+# Labels that may be taken for each other: their borders are a matter of taste.
+ALIKE = (frozenset({"car", "van"}), frozenset({"van", "truck"}))
 
 
 @dataclass(frozen=True, eq=False)

@@ -3,6 +3,7 @@
 from importlib import import_module
 from typing import TYPE_CHECKING
 
+from gfp_grasp.detect.boxes import GivenBoxes
 from gfp_grasp.detect.clusters import label_picture, label_points
 from gfp_grasp.detect.detector import (
     DETECTORS,
@@ -14,6 +15,7 @@ from gfp_grasp.detect.detector import (
     make_detection,
 )
 from gfp_grasp.detect.merging import upright_box
+from gfp_grasp.detect.road import Road, find_road
 from gfp_grasp.detect.single import detect_single
 from gfp_grasp.detect.stacking import on_each_other
 from gfp_grasp.detect.support import find_support, warn_of_a_plane_aside
@@ -33,10 +35,10 @@ if TYPE_CHECKING:
     )
     from gfp_grasp.detect.instances import InstanceNet, Votes, gather_votes, instance_features, level_picture, vote
     from gfp_grasp.detect.proposal import (
-        FLOOR_M,
         NUM_CHANNELS,
         NUM_POINTS,
         POOL_POINTS,
+        PROTOTYPES,
         Look,
         ProposalNet,
         features,
@@ -51,17 +53,19 @@ if TYPE_CHECKING:
 
 __all__ = [
     "DETECTORS",
-    "FLOOR_M",
     "NUM_CHANNELS",
     "NUM_POINTS",
     "POOL_POINTS",
+    "PROTOTYPES",
     "Calibration",
     "DetectConfig",
     "Detector",
+    "GivenBoxes",
     "InstanceNet",
     "Look",
     "ProposalNet",
     "Prototypes",
+    "Road",
     "Votes",
     "class_scores",
     "classify",
@@ -71,6 +75,7 @@ __all__ = [
     "distance_in",
     "estimate_sigma",
     "features",
+    "find_road",
     "find_support",
     "gather_votes",
     "get_detector",
@@ -107,7 +112,7 @@ _WITH_TORCH = {
     "distance_in": "classifier",
     **dict.fromkeys(
         (
-            "FLOOR_M", "NUM_CHANNELS", "NUM_POINTS", "POOL_POINTS", "Look", "ProposalNet", "features", "look",
+            "PROTOTYPES", "NUM_CHANNELS", "NUM_POINTS", "POOL_POINTS", "Look", "ProposalNet", "features", "look",
             "look_at_clouds", "sample_points", "seen_frame", "size_of", "turned_cloud", "with_surface",
         ),
         "proposal",

@@ -2,6 +2,8 @@
 
 A class brings prototypes: embedded views of its own members, so a class that is
 added takes part at once (prototypical networks, arXiv:1703.05175; several prototypes a class, arXiv:1909.05235).
+Primitives bring those of depth cameras; those of a LiDAR come with its network, and a class that it has none of takes
+part as one that nothing is known of.
 Letters: c channels of an embedding, k prototypes.
 """
 
@@ -14,14 +16,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from gfp_grasp.detect.proposal import load_card, look
+from gfp_grasp.detect.proposal import load_card, load_prototypes, look, weights_of
 from gfp_grasp.errors import UnreadableFile
 from gfp_grasp.primitives import PrimitiveLibrary
-from gfp_grasp.types import GenericPrimitive, SupportPlane
+from gfp_grasp.types import TABLETOP, GenericPrimitive, SensorProfile, SupportPlane
 
 # A class with many prototypes is the weaker at each of them: 1 would be a mixture of bells, which is told too little of
 # how wide a class is that has few members; 0 would favour classes with many prototypes.
 _DILUTION = 0.5
+_IN_PRIMITIVES = "proposal"  # the weights whose prototypes primitives bring
 
 
 @dataclass(frozen=True)
@@ -57,6 +60,7 @@ def classify(
     support: SupportPlane | None = None,
     *,
     viewpoint: np.ndarray | None = None,
+    sensor: SensorProfile = TABLETOP,
     library: PrimitiveLibrary | None = None,
 ) -> dict[str, float]:
     """Probability of each class of a library for the points of one object.
@@ -66,6 +70,7 @@ def classify(
         up: (3,) the support's normal.
         support: The table; None takes the lowest points for it.
         viewpoint: (3,) m, where the camera stood; None is less sure.
+        sensor: What saw them.
         library: The classes that there are; None takes the shipped ones.
 
     Returns:
@@ -74,27 +79,34 @@ def classify(
     Raises:
         UnreadableFile: A class has no prototypes of this network; the message says how to make them.
     """
-    return scores_in(look(points, up, support, viewpoint=viewpoint).embedding, library or PrimitiveLibrary.shipped())
+    seen = look(points, up, support, viewpoint=viewpoint, sensor=sensor)
+    return scores_in(seen.embedding, library or PrimitiveLibrary.shipped(), sensor)
 
 
-def scores_in(embedding: np.ndarray, library: PrimitiveLibrary) -> dict[str, float]:
-    """Calibrated probability of each class of a library for an embedded object (c,), see `class_scores`."""
-    return class_scores(embedding, library_prototypes(library), load_calibration())
+def scores_in(embedding: np.ndarray, library: PrimitiveLibrary, sensor: SensorProfile = TABLETOP) -> dict[str, float]:
+    """Calibrated probability of each class of a library for an embedded object (c,), see `class_scores`.
+
+    To a LiDAR these are the classes that its network knows and those that do not ship.
+    """
+    return class_scores(embedding, library_prototypes(library, sensor), load_calibration(weights_of(sensor)))
 
 
-def distance_in(embedding: np.ndarray, library: PrimitiveLibrary) -> float:
+def distance_in(embedding: np.ndarray, library: PrimitiveLibrary, sensor: SensorProfile = TABLETOP) -> float:
     """Distance (one less the cosine) of an embedded object (c,) from the nearest prototype of any class."""
-    return max(1.0 - max(float((own.vectors @ embedding).max()) for own in library_prototypes(library).values()), 0.0)
+    vectors = np.concatenate([own.vectors for own in library_prototypes(library, sensor).values()])
+    return max(1.0 - float((vectors @ embedding).max(initial=-1.0)), 0.0)
 
 
-def shares_in(embedding: np.ndarray, members: Sequence[GenericPrimitive]) -> dict[str, float]:
+def shares_in(
+    embedding: np.ndarray, members: Sequence[GenericPrimitive], sensor: SensorProfile = TABLETOP
+) -> dict[str, float]:
     """Probability of each primitive of one class, by its name, given that an embedded object (c,) is of that class.
 
-    Where one of them has no prototypes of this network, these are the shares that their cards state.
+    Where one of them has no prototypes of the sensor's network, these are the shares that their cards state.
     """
     shares = np.array([primitive.spec.share for primitive in members])
     odds = shares / shares.sum()
-    if all(map(_is_known, members)):
+    if weights_of(sensor) == _IN_PRIMITIVES and all(map(_is_known, members)):
         whole, calibration = mixed(tuple(members)), load_calibration()
         near = (whole.vectors @ embedding - 1.0) / calibration.temperature + _DILUTION * np.log(whole.weights)
         floor = np.log(odds) - calibration.reach / calibration.temperature
@@ -127,6 +139,9 @@ def score_table(embeddings: np.ndarray, prototypes: Sequence[Prototypes], calibr
     """Probabilities (e, classes) of embedded objects (e, c), see `class_scores`."""
     masses = []
     for own in prototypes:
+        if not len(own.vectors):
+            masses.append(np.full(len(embeddings), -np.inf))
+            continue
         near = (embeddings @ own.vectors.T - 1.0) / calibration.temperature + _DILUTION * np.log(own.weights)
         highest = near.max(axis=1)
         masses.append(highest + np.log(np.exp(near - highest[:, None]).sum(axis=1)))
@@ -135,12 +150,18 @@ def score_table(embeddings: np.ndarray, prototypes: Sequence[Prototypes], calibr
     return raised / raised.sum(axis=1, keepdims=True)
 
 
-def library_prototypes(library: PrimitiveLibrary) -> dict[str, Prototypes]:
+def library_prototypes(library: PrimitiveLibrary, sensor: SensorProfile = TABLETOP) -> dict[str, Prototypes]:
     """The prototypes of each class of a library, those of its subcategories by their share.
 
     Raises:
         UnreadableFile: A primitive has no prototypes, or those of another network.
     """
+    weights = weights_of(sensor)
+    if weights != _IN_PRIMITIVES:
+        known, shipped = load_prototypes(weights), PrimitiveLibrary.shipped().categories
+        none = np.empty((0, load_card(weights)["config"]["channels"]))
+        classes = [name for name in library.categories if name in known or name not in shipped]
+        return {name: mixture([known.get(name, none)], [1.0]) for name in classes}
     return {category: mixed(library.members_of(category)) for category in library.categories}
 
 
@@ -163,12 +184,14 @@ def _is_known(primitive: GenericPrimitive) -> bool:
 
 def mixture(vectors: Sequence[np.ndarray], shares: Sequence[float]) -> Prototypes:
     """Prototypes (k, c) of several groups of members as one class, each group by its share of all."""
-    weights = np.concatenate([np.full(len(own), share / len(own)) for own, share in zip(vectors, shares, strict=True)])
+    weights = np.concatenate(
+        [np.full(len(own), share / max(len(own), 1)) for own, share in zip(vectors, shares, strict=True)]
+    )
     member = np.repeat(np.arange(len(vectors)), [len(own) for own in vectors])
-    return Prototypes(np.concatenate(vectors).astype(np.float64), weights / weights.sum(), member)
+    return Prototypes(np.concatenate(vectors).astype(np.float64), weights / max(weights.sum(), 1e-12), member)
 
 
-def load_calibration() -> Calibration:
-    """Temperature and reach of the shipped network."""
-    metrics = load_card()["metrics"]
+def load_calibration(weights: str = "proposal") -> Calibration:
+    """Temperature and reach of a shipped network."""
+    metrics = load_card(weights)["metrics"]
     return Calibration(float(metrics["temperature"]), float(metrics["reach"]))

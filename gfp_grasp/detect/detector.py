@@ -6,7 +6,7 @@ import inspect
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -97,7 +97,7 @@ def make_detection(
     points = points[:: -(-len(points) // config.max_object_points)]
     scores, proposal = {category: 1.0} if category else {}, None
     if config.classify and not category:
-        scores, proposal = _looked_at(points, up, support, viewpoint)
+        scores, proposal = _looked_at(points, up, support, viewpoint, config.sensor)
     return Detection(
         cloud=PointCloud(points, viewpoint),
         up=up,
@@ -173,14 +173,18 @@ def _detect_in_points(cloud: PointCloud, up: np.ndarray | None, config: DetectCo
 
 
 def _looked_at(
-    points: np.ndarray, up: np.ndarray, support: SupportPlane | None, viewpoint: np.ndarray | None
+    points: np.ndarray,
+    up: np.ndarray,
+    support: SupportPlane | None,
+    viewpoint: np.ndarray | None,
+    sensor: SensorProfile,
 ) -> tuple[dict[str, float], Proposal]:
     """Scores of the shipped classes, and the look that they come from."""
     from gfp_grasp.detect.classifier import scores_in  # torch, only where a category is asked for
     from gfp_grasp.detect.proposal import look
 
-    proposal = look(points, up, support, viewpoint=viewpoint)
-    return scores_in(proposal.embedding, PrimitiveLibrary.shipped()), proposal
+    proposal = look(points, up, support, viewpoint=viewpoint, sensor=sensor)
+    return scores_in(proposal.embedding, PrimitiveLibrary.shipped(), sensor), proposal
 
 
 def estimate_sigma(
@@ -215,9 +219,9 @@ def estimate_sigma(
 
 
 class Detector(Protocol):
-    """A function from a depth picture to the objects in it, largest first, world frame; they need no class."""
+    """A function from a DepthImage or RangeImage to the objects in it, largest first, world frame, without class."""
 
-    def __call__(self, image: DepthImage, *, up: np.ndarray | None) -> Sequence[Detection]: ...
+    def __call__(self, image: Any, *, up: np.ndarray | None) -> Sequence[Detection]: ...
 
 
 # Classes are named when a detection is completed, by the library of the completion.

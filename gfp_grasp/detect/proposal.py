@@ -20,17 +20,16 @@ from torch import Tensor, nn
 from gfp_grasp.assets import data_file
 from gfp_grasp.parallel import one_thread
 from gfp_grasp.transforms import apply_T, invert_T, make_T, rotation_about, rotation_between
-from gfp_grasp.types import RESTS, OrientedBox, Proposal, SupportPlane
+from gfp_grasp.types import RESTS, TABLETOP, OrientedBox, Proposal, SensorProfile, SupportPlane
 
 POOL_POINTS = 1200  # at this density the surroundings are looked at, and of these
 NUM_POINTS = 768  # go into the network
 NUM_FEATURES = 12
 NUM_CHANNELS = 64
-FLOOR_M = (
-    0.006  # what is nearer to the table is left out, in training as in use: a detector cannot tell it from the table
-)
 _SCALE_M = 0.1  # the size of things at which the logarithm of size is zero
 _NEIGHBOURS = 24
+_TRAFFIC_M = 5.0  # a sensor that is pointed at larger things looks at traffic
+PROTOTYPES = "prototypes."  # begins the names of tensors of a weights file that are prototypes of a class
 _YAWS = 4  # where nobody knows the viewpoint, the answer is a mean over turns about up
 _LEAST_FRONT = 1e-3
 Array = TypeVar("Array", Tensor, np.ndarray)
@@ -102,6 +101,7 @@ def look(
     support: SupportPlane | None = None,
     *,
     viewpoint: np.ndarray | None = None,
+    sensor: SensorProfile = TABLETOP,
     network: ProposalNet | None = None,
 ) -> Proposal:
     """What the points of one object look like to the network; pose and box in the world frame.
@@ -111,16 +111,18 @@ def look(
         up: (3,) the support's normal.
         support: The table; None takes the lowest points for it.
         viewpoint: (3,) m, where the camera stood; None is less sure.
+        sensor: What saw them: each kind of sensor has a network of its own.
         network: None takes the shipped one, of which alone it is known what classes it has learnt from.
     """
-    T_world_seen = seen_frame(points, up, support, viewpoint)
+    T_world_seen = seen_frame(points, up, support, viewpoint, floor_m=sensor.floor_m)
     T_seen_world = invert_T(T_world_seen)
     local = apply_T(T_seen_world, points)
     eye = None if viewpoint is None else apply_T(T_seen_world, viewpoint)
     rng = np.random.default_rng(0)
     cloud = sample_points(with_surface(sample_points(local, POOL_POINTS, rng), eye), NUM_POINTS, rng)
     turns = [rotation_about((0, 0, 1), 2 * np.pi * k / _YAWS) for k in range(1 if eye is not None else _YAWS)]
-    answer = look_at_clouds(np.stack([turned_cloud(cloud, R) for R in turns]), network or load_network())
+    own = network or load_network(weights_of(sensor))
+    answer = look_at_clouds(np.stack([turned_cloud(cloud, R) for R in turns]), own)
     embedding = answer.embedding.mean(axis=0)
     vectors = {name: np.mean([v @ R for v, R in zip(getattr(answer, name), turns, strict=True)], axis=0)
                for name in ("up", "front", "centre")}  # fmt: skip
@@ -133,7 +135,7 @@ def look(
         box=OrientedBox(T_world_seen @ T_seen_box, extents),
         rests=dict(zip(RESTS, (odds / odds.sum()).tolist(), strict=True)),
         sure_of_front=float(min(np.linalg.norm(vectors["front"]), 1.0)),
-        classes=tuple(load_card()["data"]["classes"]) if network is None else (),
+        classes=tuple(load_card(weights_of(sensor))["data"]["classes"]) if network is None else (),
         embedding=embedding / np.linalg.norm(embedding),
     )
 
@@ -147,7 +149,12 @@ def look_at_clouds(clouds: np.ndarray, network: ProposalNet) -> Look[np.ndarray]
 
 
 def seen_frame(
-    points: np.ndarray, up: np.ndarray, support: SupportPlane | None, viewpoint: np.ndarray | None
+    points: np.ndarray,
+    up: np.ndarray,
+    support: SupportPlane | None,
+    viewpoint: np.ndarray | None,
+    *,
+    floor_m: float = TABLETOP.floor_m,
 ) -> np.ndarray:
     """T_world_seen (4, 4): z along up from the support, x towards the viewer, the ground outline's middle at zero."""
     R = rotation_between(up, (0.0, 0.0, 1.0))
@@ -156,7 +163,7 @@ def seen_frame(
         R = rotation_about((0, 0, 1), -float(np.arctan2(toward[1], toward[0]))) @ R
     level = points @ R.T
     low, high = np.percentile(level, (1, 99), axis=0)
-    height_m = float(low[2]) - FLOOR_M if support is None else support.height_m
+    height_m = float(low[2]) - floor_m if support is None else support.height_m
     return make_T(R.T, np.append((low[:2] + high[:2]) / 2, height_m) @ R)
 
 
@@ -224,17 +231,34 @@ def _rotation(up: np.ndarray, front: np.ndarray) -> np.ndarray:
     return np.column_stack([x, np.cross(z, x), z])
 
 
+def weights_of(sensor: SensorProfile) -> str:
+    """Name of the shipped weights that look at what a sensor saw: pictures of table tops, or scans of traffic."""
+    return "proposal" if sensor.largest_m < _TRAFFIC_M else "proposal_lidar"
+
+
 @cache
-def load_network(device: str = "cpu") -> ProposalNet:
-    """The shipped network, in evaluation mode, loaded once."""
-    config = load_card()["config"]
+def load_network(weights: str = "proposal") -> ProposalNet:
+    """A shipped network, in evaluation mode, loaded once."""
+    config = load_card(weights)["config"]
     network = ProposalNet(config["channels"], width=config["width"])
-    state = load_file(data_file("weights", "proposal.safetensors"))
-    network.load_state_dict({name: tensor.float() for name, tensor in state.items()})
-    return network.eval().to(device)
+    network.load_state_dict({name: tensor.float() for name, tensor in _tensors(weights).items()})
+    return network.eval()
 
 
 @cache
-def load_card() -> dict:
-    """How the shipped weights came to be, and how their distances are calibrated."""
-    return json.loads(data_file("weights", "proposal.json").read_text(encoding="utf-8"))
+def load_prototypes(weights: str) -> dict[str, np.ndarray]:
+    """Unit vectors (k, c) of each class that a shipped network brings prototypes of; most are kept in primitives."""
+    tensors = load_file(data_file("weights", f"{weights}.safetensors"))
+    own = {name.removeprefix(PROTOTYPES): tensors[name] for name in tensors if name.startswith(PROTOTYPES)}
+    return {name: nn.functional.normalize(vectors.double(), dim=1).numpy() for name, vectors in own.items()}
+
+
+def _tensors(weights: str) -> dict[str, Tensor]:
+    found = load_file(data_file("weights", f"{weights}.safetensors"))
+    return {name: tensor for name, tensor in found.items() if not name.startswith(PROTOTYPES)}
+
+
+@cache
+def load_card(weights: str = "proposal") -> dict:
+    """How shipped weights came to be, and how their distances are calibrated."""
+    return json.loads(data_file("weights", f"{weights}.json").read_text(encoding="utf-8"))

@@ -19,6 +19,7 @@ if TYPE_CHECKING:
     from gfp_grasp.scenes.check import BodyCheck, SettledScene, check_file, check_model, settle_file
     from gfp_grasp.scenes.handles import Handles, gripper_pose, place_gripper
     from gfp_grasp.scenes.rooms import Room, draw_camera, draw_things, make_room, view_room
+    from gfp_grasp.scenes.streets import Street, StreetThing, compile_street, draw_street, scan_street
     from gfp_grasp.scenes.world import World
 
 _LATER = {
@@ -30,15 +31,20 @@ _LATER = {
     "check_model": "check",
     "Handles": "handles",
     "Room": "rooms",
+    "Street": "streets",
+    "StreetThing": "streets",
     "World": "world",
     "build_scene": "build",
     "draw_camera": "rooms",
+    "draw_street": "streets",
     "draw_things": "rooms",
     "compile_scene": "build",
+    "compile_street": "streets",
     "gripper_pose": "handles",
     "make_room": "rooms",
     "place_gripper": "handles",
     "save_scene": "build",
+    "scan_street": "streets",
     "view_room": "rooms",
 }
 
@@ -51,6 +57,8 @@ __all__ = [
     "Room",
     "SceneObject",
     "SettledScene",
+    "Street",
+    "StreetThing",
     "World",
     "add_body",
     "build_scene",
@@ -58,7 +66,9 @@ __all__ = [
     "check_model",
     "class_and_name",
     "compile_scene",
+    "compile_street",
     "draw_camera",
+    "draw_street",
     "draw_things",
     "gripper_pose",
     "label_of",
@@ -68,6 +78,7 @@ __all__ = [
     "place_clutter",
     "place_gripper",
     "save_scene",
+    "scan_street",
     "settle_file",
     "shipped_families",
     "true_object",

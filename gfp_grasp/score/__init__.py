@@ -4,7 +4,7 @@ from gfp_grasp.score.page import FIGURES, prepare_folder, write_picture, write_s
 from gfp_grasp.score.report import BRACKETS, Report, ScoreRow, mcnemar_p, wilson_interval
 from gfp_grasp.score.rows import ScoreConfig
 from gfp_grasp.score.run import ALL_CLASSES, BRACKETED, score
-from gfp_grasp.score.study import TOGETHER, read_report, study
+from gfp_grasp.score.sets import TOGETHER, read_report, study
 
 __all__ = [
     "ALL_CLASSES",

@@ -13,7 +13,7 @@ from gfp_grasp.train.primitives import (
     shipped_names,
     with_spec,
 )
-from gfp_grasp.train.proposal_data import CACHE, Example, assorted_examples, class_examples
+from gfp_grasp.train.proposal_data import CACHE, Example, above_table, assorted_examples, class_examples
 from gfp_grasp.train.rests import rest_rotation
 from gfp_grasp.train.views import View, ViewsConfig, across_edge, render_views, shape_source
 
@@ -25,12 +25,13 @@ if TYPE_CHECKING:
     from gfp_grasp.train.openset import SIGHTS, OpenSetConfig, OpenSetRow, openset_rows, train_openset
     from gfp_grasp.train.pcrnet import PCRNET_CONFIG, train_pcrnet
     from gfp_grasp.train.proposal import train_proposal
-    from gfp_grasp.train.proposal_batches import ProposalConfig
+    from gfp_grasp.train.proposal_batches import LIDAR_CONFIG, ProposalConfig
     from gfp_grasp.train.prototypes import make_prototypes, with_prototypes
 
 __all__ = [
     "CACHE",
     "GFPNET_CONFIGS",
+    "LIDAR_CONFIG",
     "PCRNET_CONFIG",
     "SIGHTS",
     "Batch",
@@ -45,6 +46,7 @@ __all__ = [
     "Thing",
     "View",
     "ViewsConfig",
+    "above_table",
     "across_edge",
     "assorted_examples",
     "build_from_folder",
@@ -79,7 +81,7 @@ __all__ = [
 _WITH_TORCH = {
     **dict.fromkeys(("ClassfreeConfig", "train_classfree"), "classfree"),
     **dict.fromkeys(("train_proposal",), "proposal"),
-    **dict.fromkeys(("ProposalConfig",), "proposal_batches"),
+    **dict.fromkeys(("LIDAR_CONFIG", "ProposalConfig"), "proposal_batches"),
     **dict.fromkeys(("GFPNET_CONFIGS", "train_gfpnet"), "gfpnet"),
     **dict.fromkeys(("InstancesConfig", "train_instances"), "instances"),
     **dict.fromkeys(("paper_loss", "patches_of_split"), "gfpnet"),

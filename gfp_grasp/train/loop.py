@@ -10,6 +10,7 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
+import numpy as np
 import torch
 from safetensors.torch import save_file
 from torch import Tensor, nn
@@ -116,6 +117,7 @@ def write_weights(
     hours: float,
     metrics: Mapping,
     extra: Mapping[str, object] | None = None,
+    beside: Mapping[str, np.ndarray] | None = None,
 ) -> Path:
     """Write weights (float16 safetensors) and their card (JSON beside them).
 
@@ -127,9 +129,11 @@ def write_weights(
         hours: Wall clock.
         metrics: Measured on data it was not trained on, with the float16 weights.
         extra: More of the card.
+        beside: Arrays that the file holds beside the network's, by names of their own.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
-    save_file({name: tensor.half().contiguous() for name, tensor in network.state_dict().items()}, path)
+    tensors = {**network.state_dict(), **{name: torch.from_numpy(array) for name, array in (beside or {}).items()}}
+    save_file({name: tensor.half().contiguous() for name, tensor in tensors.items()}, path)
     path.chmod(0o644)  # safetensors writes for the owner alone, and a wheel keeps the mode
     card = {
         "command": command_line(),

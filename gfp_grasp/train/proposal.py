@@ -15,13 +15,14 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from gfp_grasp.detect import Look, ProposalNet, Prototypes, mixture
-from gfp_grasp.shapes import FAMILIES
+from gfp_grasp.detect import PROTOTYPES, Look, ProposalNet, Prototypes, mixture
+from gfp_grasp.shapes import FAMILIES, TRAFFIC
 from gfp_grasp.train.calibration import calibrate, embedded, measure, measure_pose
 from gfp_grasp.train.loop import train, training_key, write_weights
 from gfp_grasp.train.proposal_batches import ProposalConfig, augmented_batches, make_targets
 from gfp_grasp.train.proposal_data import CACHE, Example, assorted_examples, class_examples
 from gfp_grasp.train.prototypes import cluster
+from gfp_grasp.types import TABLETOP, get_sensor
 
 _FAR = 1e3
 _MOST_VIEWS = 400  # of a class, that its prototypes are made from
@@ -61,11 +62,15 @@ def train_proposal(
     workers: int = 1,
     report=None,
 ) -> dict[str, object]:
-    """Train, calibrate on val, measure on test, and write proposal.safetensors with its card.
+    """Train, calibrate on val, measure on test, and write the weights with their card.
+
+    Those of depth cameras are proposal.safetensors, those of a LiDAR proposal_lidar.safetensors, which holds the
+    prototypes of its classes as well.
 
     Args:
         config: Schedule.
-        classes: Classes to learn from, beside the kinds of other things; None takes all procedural families.
+        classes: Classes to learn from, beside the kinds of other things; None takes all procedural families, for a
+            LiDAR those of traffic.
         data: Folder of meshes, as `read_dataset` takes it; None takes procedural shapes.
         out: Folder of the weights.
         cache: Folder of rendered views and of the checkpoint; a later call goes on from there.
@@ -76,7 +81,8 @@ def train_proposal(
         The metrics of the card.
     """
 
-    classes = tuple(classes or FAMILIES)
+    sensor = get_sensor(config.sensor)
+    classes = tuple(classes or (FAMILIES if sensor is TABLETOP else TRAFFIC))
 
     def views(split: str, num_views: int) -> list[Example]:
         limit = config.limit if split == "train" or config.limit is None else max(1, config.limit // 4)
@@ -90,13 +96,15 @@ def train_proposal(
                 classes=classes,
                 limit=limit,
                 data=data,
+                sensor=sensor,
                 workers=workers,
                 folder=cache,
             )
         ]
 
     def others(first: int, count: int, members: int) -> list[Example]:
-        return assorted_examples(first, count, num_members=members, num_views=2, workers=workers, folder=cache)
+        how = {"num_members": members, "num_views": 2, "sensor": sensor, "workers": workers, "folder": cache}
+        return assorted_examples(first, count, **how)
 
     examples, assorted = views("train", config.views), others(0, config.kinds, config.members)
     targets = make_targets(examples, assorted, config, cache)
@@ -121,9 +129,11 @@ def train_proposal(
         **measure(network, prototypes, calibration, test, outside),
         **measure_pose(network, test),
     }
+    own = {} if sensor is TABLETOP else {f"{PROTOTYPES}{name}": p.vectors for name, p in prototypes.items()}
     write_weights(
         network,
-        out / "proposal.safetensors",
+        out / ("proposal.safetensors" if sensor is TABLETOP else f"proposal_{sensor.name}.safetensors"),
+        beside=own,
         config=config,
         data={
             "classes": list(classes),

@@ -13,7 +13,6 @@ import torch
 from torch import Tensor
 
 from gfp_grasp.detect import (
-    FLOOR_M,
     NUM_CHANNELS,
     POOL_POINTS,
     features,
@@ -27,7 +26,7 @@ from gfp_grasp.errors import InvalidOption
 from gfp_grasp.train.loop import LoopConfig
 from gfp_grasp.train.proposal_data import TABLE, UP, Example, Placed, above_table
 from gfp_grasp.transforms import apply_T, invert_T, rotation_about
-from gfp_grasp.types import RESTS
+from gfp_grasp.types import RESTS, get_sensor
 
 _TRAIN_POINTS = 256  # a third of what is used later: max-pooling does not mind, and steps are thrice as fast
 _MOST_TURNS = 6
@@ -50,6 +49,7 @@ class ProposalConfig(LoopConfig):
         pose_weight: Weight of the loss of pose and box.
         unknown_table: Share of samples whose lowest point stands for the table.
         unknown_viewpoint: Share of samples of which nobody knows from where they were seen.
+        sensor: Name of the kind of sensor whose views it learns from, see `types.SENSORS`.
     """
 
     steps: int = 15000
@@ -69,6 +69,7 @@ class ProposalConfig(LoopConfig):
     pose_weight: float = 1.0
     unknown_table: float = 0.25
     unknown_viewpoint: float = 0.2
+    sensor: str = "tabletop"
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -77,6 +78,10 @@ class ProposalConfig(LoopConfig):
         shares = (self.unknown_table, self.unknown_viewpoint)
         if not all(0 <= share <= 1 for share in shares) or not 0 < self.share < 1:
             raise InvalidOption("unknown_table, unknown_viewpoint must be in 0 .. 1, share between 0 and 1")
+
+
+# Of traffic there are fewer classes, and nobody knows the road under a box that was cut out of a scan.
+LIDAR_CONFIG = ProposalConfig(steps=6000, views=6, unknown_table=0.5, sensor="lidar")
 
 
 @dataclass(frozen=True, eq=False)
@@ -94,6 +99,7 @@ class Targets:
         box: (e, 2, 3) m, centre and extents; NaN where the object has no axes of its own.
         order: (e,) fold of the symmetry about z; 0 for a body of revolution.
         num_views: How many of the first samples are views of classes.
+        floor_m: What is nearer to the table was left out.
     """
 
     pool: np.ndarray
@@ -106,6 +112,7 @@ class Targets:
     box: np.ndarray
     order: np.ndarray
     num_views: int
+    floor_m: float
 
 
 def make_targets(
@@ -139,13 +146,16 @@ def make_targets(
         box,
         order,
         num_views,
+        get_sensor(config.sensor).floor_m,
     )
 
 
 def placed_in_seen_frame(example: Example) -> Placed:
     """How an object with axes of its own lies in the seen frame of its view."""
     assert example.placed is not None
-    T_seen_world = invert_T(seen_frame(above_table(example), UP, TABLE, example.viewpoint))
+    T_seen_world = invert_T(
+        seen_frame(above_table(example), UP, TABLE, example.viewpoint, floor_m=example.sensor.floor_m)
+    )
     R, centre = T_seen_world[:3, :3] @ example.placed.R, apply_T(T_seen_world, example.placed.centre)
     return replace(example.placed, R=R, centre=centre)
 
@@ -173,13 +183,13 @@ def seen_cloud(
 ) -> np.ndarray:
     """(POOL_POINTS, 9) cloud of an example in its seen frame, as the network is asked about it."""
     points, eye = above_table(example), example.viewpoint if viewpoint_known else None
-    T_seen_world = invert_T(seen_frame(points, UP, TABLE if table_known else None, eye))
+    T_seen_world = invert_T(seen_frame(points, UP, TABLE if table_known else None, eye, floor_m=example.sensor.floor_m))
     local = sample_points(apply_T(T_seen_world, points), POOL_POINTS, rng)
     return with_surface(local, None if eye is None else apply_T(T_seen_world, eye))
 
 
 def _is_usable(example: Example) -> bool:
-    return int((example.points[:, 2] > FLOOR_M).sum()) >= 30
+    return int((example.points[:, 2] > example.sensor.floor_m).sum()) >= 30
 
 
 def augmented_batches(targets: Targets, config: ProposalConfig):
@@ -234,7 +244,7 @@ def _augmented(
         thinned[:, 6:] = 0.0
     # As the seen frame is made of these points, with the table a little off, or not known.
     low, high = np.percentile(thinned[:, :3], (1, 99), axis=0)
-    height = low[2] - FLOOR_M / unit if rng.random() < config.unknown_table else rng.normal(scale=0.016)
+    height = low[2] - targets.floor_m / unit if rng.random() < config.unknown_table else rng.normal(scale=0.016)
     origin = np.append((low[:2] + high[:2]) / 2 + rng.normal(scale=0.03, size=2), height)
     thinned[:, :3] -= origin
     size = float(size_of(thinned[:, :3]))

@@ -10,20 +10,20 @@ from pathlib import Path
 import numpy as np
 import trimesh
 
-from gfp_grasp.detect import (
-    FLOOR_M,
-)
 from gfp_grasp.parallel import pmap
 from gfp_grasp.primitives import detect_symmetry
 from gfp_grasp.scenes import ObjectSource
 from gfp_grasp.shapes import FAMILIES, foreign_kinds, get_family, make_assorted, make_shape, split_seeds
+from gfp_grasp.train.scans import ScansConfig
 from gfp_grasp.train.views import View, ViewsConfig, cached_views, config_id, read_views, views_of_mesh, write_views
 from gfp_grasp.transforms import apply_T, invert_T
-from gfp_grasp.types import SupportPlane
+from gfp_grasp.types import LIDAR, TABLETOP, SensorProfile, SupportPlane
 
 VIEWS = ViewsConfig(
     elevation_deg=(5.0, 70.0), distance_m=(0.4, 1.0), fallen_share=0.2, hidden_share=0.25, num_points=1500
 )
+_DRAWN: dict[str, ViewsConfig | ScansConfig] = {TABLETOP.name: VIEWS, LIDAR.name: ScansConfig()}
+_STREET_M = (0.5, 8.0)  # longest side of things of no class in a street
 CACHE = Path("runs/proposal")
 UP = np.array([0.0, 0.0, 1.0])
 TABLE = SupportPlane(UP, 0.0)
@@ -62,6 +62,7 @@ class Example:
         accepted: The classes that count as right; of a class without such a part, also those it is easily taken for.
         resting: "upright", "upside_down" or "lying".
         placed: None where the object has no axes of its own.
+        sensor: What saw it.
     """
 
     points: np.ndarray
@@ -72,6 +73,7 @@ class Example:
     accepted: tuple[str, ...]
     resting: str
     placed: Placed | None
+    sensor: SensorProfile = TABLETOP
 
 
 def class_examples(
@@ -82,6 +84,7 @@ def class_examples(
     classes: Sequence[str],
     limit: int | None = None,
     data: Path | None = None,
+    sensor: SensorProfile = TABLETOP,
     workers: int = 1,
     folder: Path = CACHE,
     progress=None,
@@ -95,6 +98,7 @@ def class_examples(
         classes: All classes that there are; those among them that the class is alike may be named in its place.
         limit: At most so many members.
         data: Folder of meshes, as `read_dataset` takes it; None takes procedural shapes.
+        sensor: What sees them.
         workers: Processes that render.
         folder: Cache.
         progress: Wraps the stream of members.
@@ -106,14 +110,14 @@ def class_examples(
         limit=limit,
         folder=folder,
         workers=workers,
-        config=VIEWS,
+        config=_DRAWN[sensor.name],
         data=data,
         progress=progress,
     )
-    return [_example(view, classes) for view in views]
+    return [_example(view, classes, sensor) for view in views]
 
 
-def _example(view: View, classes: Sequence[str]) -> Example:
+def _example(view: View, classes: Sequence[str], sensor: SensorProfile) -> Example:
     anatomy = _anatomy(view.source)
     category = view.source.category
     spec = get_family(category).spec if category in FAMILIES else {}
@@ -125,15 +129,23 @@ def _example(view: View, classes: Sequence[str]) -> Example:
     R = view.T_world_object[:3, :3]
     centre = apply_T(view.T_world_object, anatomy.bounds.mean(axis=0))
     placed = Placed(R, np.ptp(anatomy.bounds, axis=0), centre, anatomy.order)
-    return Example(view.points, view.viewpoint, category, anatomy.kind, answers, accepted, view.resting, placed)
+    return Example(view.points, view.viewpoint, category, anatomy.kind, answers, accepted, view.resting, placed, sensor)
 
 
 def assorted_examples(
-    first: int, count: int, *, num_members: int, num_views: int, workers: int = 1, folder: Path = CACHE, progress=None
+    first: int,
+    count: int,
+    *,
+    num_members: int,
+    num_views: int,
+    sensor: SensorProfile = TABLETOP,
+    workers: int = 1,
+    folder: Path = CACHE,
+    progress=None,
 ) -> list[Example]:
     """Views of kinds of things that are like no family, from a number of kind on; each counts as a class of its own."""
     jobs = [(kind, member) for kind in foreign_kinds(first, count) for member in range(num_members)]
-    render = partial(_assorted_views, num_views=num_views, folder=folder)
+    render = partial(_assorted_views, num_views=num_views, sensor=sensor, folder=folder)
     return [example for views in pmap(render, jobs, workers=workers, progress=progress) for example in views]
 
 
@@ -183,22 +195,26 @@ def _some_of_each_kind(family: str) -> dict[str, list[trimesh.Trimesh]]:
     return found
 
 
-def _assorted_views(job: tuple[int, int], *, num_views: int, folder: Path) -> list[Example]:
+def _assorted_views(job: tuple[int, int], *, num_views: int, sensor: SensorProfile, folder: Path) -> list[Example]:
     kind, member = job
-    name = f"assorted-{kind}"
-    path = folder / "assorted" / f"{kind:05d}_{member:03d}_{num_views}_{config_id(VIEWS)}.npz"
+    name, config = f"assorted-{kind}", _DRAWN[sensor.name]
+    path = folder / "assorted" / f"{kind:05d}_{member:03d}_{num_views}_{config_id(config)}.npz"
     source = ObjectSource(name, name)
     if not path.is_file():
         rng = np.random.default_rng([kind, member])
-        views = views_of_mesh(source, make_assorted(kind, member), rng, num_views=num_views, config=VIEWS)
+        mesh = make_assorted(kind, member)
+        if sensor is LIDAR:
+            mesh.apply_scale(np.exp(rng.uniform(*np.log(_STREET_M))) / float(mesh.extents.max()))
+        views = views_of_mesh(source, mesh, rng, num_views=num_views, config=config)
         path.parent.mkdir(parents=True, exist_ok=True)
         write_views(path, views)
     return [
-        Example(v.points, v.viewpoint, name, "", (name,), (name,), v.resting, None) for v in read_views(path, source)
+        Example(v.points, v.viewpoint, name, "", (name,), (name,), v.resting, None, sensor)
+        for v in read_views(path, source)
     ]
 
 
 def above_table(example: Example) -> np.ndarray:
     """The points (n, 3) m of an example that are clear of the table; all of them where none is."""
-    above = example.points[example.points[:, 2] > FLOOR_M]
+    above = example.points[example.points[:, 2] > example.sensor.floor_m]
     return above if len(above) else example.points

@@ -15,13 +15,13 @@ import trimesh
 from scipy.cluster.vq import kmeans2
 
 from gfp_grasp.assets import data_file
-from gfp_grasp.detect import FLOOR_M, ProposalNet, look
+from gfp_grasp.detect import ProposalNet, look
 from gfp_grasp.parallel import one_thread
 from gfp_grasp.scenes import ObjectSource
 from gfp_grasp.train.proposal_data import TABLE, VIEWS
 from gfp_grasp.train.rests import ways_of_resting
 from gfp_grasp.train.views import views_of_mesh
-from gfp_grasp.types import GenericPrimitive
+from gfp_grasp.types import TABLETOP, GenericPrimitive
 
 NUM_PROTOTYPES = 16
 _NUM_VIEWS = 192  # of all members together: ten seconds
@@ -55,7 +55,7 @@ def make_prototypes(
     for number in np.resize(rng.permutation(count), num_views).tolist():
         mesh = _member(primitive, number) if meshes is None else meshes[number]
         for view in views_of_mesh(source, mesh, rng, num_views=1, config=VIEWS, ways=ways):
-            above = view.points[view.points[:, 2] > FLOOR_M]
+            above = view.points[view.points[:, 2] > TABLETOP.floor_m]
             if len(above):
                 embedded.append(look(above, TABLE.normal, TABLE, viewpoint=view.viewpoint, network=network).embedding)
     return cluster(np.array(embedded), seed=seed)

@@ -10,9 +10,11 @@ import json
 import os
 import warnings
 import zlib
+from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
 from functools import partial
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import trimesh
@@ -25,12 +27,14 @@ from gfp_grasp.parallel import pmap
 from gfp_grasp.scenes import ObjectSource
 from gfp_grasp.shapes import split_seeds
 from gfp_grasp.train.rests import draw_rest, ways_of_shape
+from gfp_grasp.train.scans import ScansConfig, scan_of
 from gfp_grasp.transforms import make_T
 from gfp_grasp.types import RESTS, Detection, OrientedBox, PointCloud, SupportPlane
 
 CACHE = Path("runs/views")
 _MIN_PIXELS = 60
 _TRIES = 12
+_T = TypeVar("_T")
 _LARGEST_M = 0.4  # up to this size the distances of the config hold
 
 
@@ -130,7 +134,7 @@ def seed_of(source: ObjectSource) -> int:
 
 
 def render_views(
-    source: ObjectSource, *, num_views: int, config: ViewsConfig = ViewsConfig(), first_seed: int = 0
+    source: ObjectSource, *, num_views: int, config: ViewsConfig | ScansConfig = ViewsConfig(), first_seed: int = 0
 ) -> list[View]:
     """Views of one shape, the same for the same arguments; a shape that is never in sight gives fewer."""
     rng = np.random.default_rng([first_seed, seed_of(source), sum(map(ord, source.category))])
@@ -144,14 +148,17 @@ def views_of_mesh(
     rng: np.random.Generator,
     *,
     num_views: int,
-    config: ViewsConfig = ViewsConfig(),
+    config: ViewsConfig | ScansConfig = ViewsConfig(),
     ways: tuple[str, ...] = RESTS,
 ) -> list[View]:
     """Views of a mesh; one that is never in sight gives fewer.
 
     It rests in the first of the ways, unless it has fallen: then in any other. What is larger than things on a table is
-    looked at from farther away in proportion.
+    looked at from farther away in proportion. To a LiDAR everything stands.
     """
+    if isinstance(config, ScansConfig):
+        taken = (_first(partial(scan_of, mesh, rng, config)) for _ in range(num_views))
+        return [View(source, *scan, "upright") for scan in taken if scan is not None]
     zoom = max(1.0, float(mesh.extents.max()) / _LARGEST_M)
     if zoom > 1:
         mesh = mesh.copy()
@@ -159,12 +166,15 @@ def views_of_mesh(
     K = intrinsics(config.width, config.height, config.fov_y_deg)
     views = []
     for _ in range(num_views):
-        for _ in range(_TRIES):
-            view = _one_view(source, mesh, rng, K, config, ways)
-            if view is not None:
-                views.append(view if zoom == 1 else _enlarged(view, zoom))
-                break
+        view = _first(partial(_one_view, source, mesh, rng, K, config, ways))
+        if view is not None:
+            views.append(view if zoom == 1 else _enlarged(view, zoom))
     return views
+
+
+def _first(take: Callable[[], _T | None]) -> _T | None:
+    """What the first of several tries gives that gives anything."""
+    return next((taken for taken in (take() for _ in range(_TRIES)) if taken is not None), None)
 
 
 def cached_views(
@@ -175,7 +185,7 @@ def cached_views(
     limit: int | None = None,
     folder: Path = CACHE,
     workers: int = 1,
-    config: ViewsConfig = ViewsConfig(),
+    config: ViewsConfig | ScansConfig = ViewsConfig(),
     data: Path | None = None,
     progress=None,
 ) -> list[View]:
@@ -188,7 +198,9 @@ def cached_views(
     return [view for views in pmap(make, jobs, workers=workers, progress=progress) for view in views]
 
 
-def _load_or_render(source: ObjectSource, *, num_views: int, folder: Path, config: ViewsConfig) -> list[View]:
+def _load_or_render(
+    source: ObjectSource, *, num_views: int, folder: Path, config: ViewsConfig | ScansConfig
+) -> list[View]:
     path = folder / source.category / f"{_cache_name(source)}_{num_views}_{config_id(config)}.npz"
     if path.is_file():
         return read_views(path, source)

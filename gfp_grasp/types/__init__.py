@@ -42,17 +42,8 @@ from gfp_grasp.types.result import (
     Outcome,
     TrueObject,
 )
-from gfp_grasp.types.views import (
-    LIDAR,
-    SENSORS,
-    TABLETOP,
-    DepthImage,
-    RangeImage,
-    SensorProfile,
-    View,
-    get_sensor,
-    pixels_of,
-)
+from gfp_grasp.types.sensors import LIDAR, SENSORS, TABLETOP, SensorProfile, get_sensor
+from gfp_grasp.types.views import DepthImage, RangeImage, View, pixels_of
 
 __all__ = [
     "BODY_REGIONS",

@@ -10,7 +10,8 @@ import numpy as np
 
 from gfp_grasp.errors import InvalidCloud, InvalidView
 from gfp_grasp.types.arrays import checked_matrix, checked_vector, freeze
-from gfp_grasp.types.views import TABLETOP, SensorProfile, View, pixels_of
+from gfp_grasp.types.sensors import TABLETOP, SensorProfile
+from gfp_grasp.types.views import View, pixels_of
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,8 +1,7 @@
-"""What a sensor is like, and what one saw from one place: a depth picture, or the ranges of a spinning LiDAR.
+"""What a sensor saw from one place: a depth picture, or the ranges of a spinning LiDAR.
 
-Every length of detection follows from the sensor's limits and noise. Pixels are (column, row), pixel centres at whole
-numbers. A view measures distance in its own way, its range: along the optical axis for a depth picture, from the sensor
-for a range image.
+Pixels are (column, row), pixel centres at whole numbers. A view measures distance in its own way, its range: along the
+optical axis for a depth picture, from the sensor for a range image.
 """
 
 from __future__ import annotations
@@ -15,64 +14,10 @@ from typing import Protocol, Self, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gfp_grasp.errors import InvalidOption, InvalidView
+from gfp_grasp.errors import InvalidView
 from gfp_grasp.transforms import apply_T, invert_T, is_rotation
 from gfp_grasp.types.arrays import checked_matrix, checked_numbers, freeze
 from gfp_grasp.units import unit_advice
-
-
-@dataclass(frozen=True)
-class SensorProfile:
-    """Limits and noise of a kind of sensor, and the sizes that it is pointed at.
-
-    Attributes:
-        name: For messages.
-        sigma_m: Standard deviation of the range noise at the distance it is mostly used at, m; lengths that tell
-            noise from shape are multiples of it.
-        farthest_m: An object farther away is not resolved, m.
-        scene_m: Extent of the widest cloud that is looked at as a whole, m.
-        largest_m: Extent of the largest single object, m.
-        smallest_m: Extent of the smallest object, m.
-    """
-
-    name: str
-    sigma_m: float
-    farthest_m: float
-    scene_m: float
-    largest_m: float
-    smallest_m: float
-
-    def __post_init__(self) -> None:
-        if not 0 < self.sigma_m < self.smallest_m < self.largest_m <= self.scene_m or self.farthest_m <= 0:
-            raise InvalidOption(
-                f"{self}: positive lengths with sigma_m < smallest_m < largest_m <= scene_m are expected"
-            )
-
-    @property
-    def sigma_range_m(self) -> tuple[float, float]:
-        """Least and largest noise that is believed when it is read off a cloud, m."""
-        return self.sigma_m / 3, 4 * self.sigma_m
-
-
-# Depth cameras over a table: at 0.4 to 1 m their noise is 1 to 2 mm; the smallest cup is 15 mm wide.
-TABLETOP = SensorProfile("tabletop", sigma_m=0.0015, farthest_m=20.0, scene_m=5.0, largest_m=1.5, smallest_m=0.015)
-# Spinning LiDARs in traffic: 2 cm of noise (Velodyne HDL-64E); a bus is 20 m long, a child 0.3 m wide.
-LIDAR = SensorProfile("lidar", sigma_m=0.02, farthest_m=150.0, scene_m=300.0, largest_m=25.0, smallest_m=0.2)
-SENSORS = {profile.name: profile for profile in (TABLETOP, LIDAR)}
-
-
-def get_sensor(sensor: str | SensorProfile) -> SensorProfile:
-    """A sensor's profile by name; a profile is returned as it is.
-
-    Raises:
-        InvalidOption: No sensor of that name, or neither a name nor a profile.
-    """
-    if isinstance(sensor, SensorProfile):
-        return sensor
-    if isinstance(sensor, str) and sensor in SENSORS:
-        return SENSORS[sensor]
-    raise InvalidOption(f"sensor is {sensor!r}; one of {', '.join(SENSORS)} or a SensorProfile is expected")
-
 
 _FARTHEST_M = 50.0  # depth cameras end at 10 m; a picture in millimetres begins at 100
 _NEAREST_M, _LIKELY_M = 0.1, 10.0  # between these, what is in another unit is thought to be

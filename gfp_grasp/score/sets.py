@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from collections import Counter
-from collections.abc import Sequence
+from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -32,11 +32,11 @@ def read_report(path: str | Path) -> Report:
         ) from error
 
 
-def study(paths: Sequence[str | Path]) -> dict[str, Any]:
+def study(scores: Mapping[str, str | Path]) -> dict[str, Any]:
     """Scores of several sets of objects, each by itself and all together.
 
     Args:
-        paths: JSON of `gfp-grasp score`, each of other objects, under the same completers; a set has its file's name.
+        scores: Name of each set and the JSON of `gfp-grasp score` on it, all under the same completers.
 
     Returns:
         {"sets": {name: {"settings", "completers", "paired", "broken_promises"}}}, the last set `TOGETHER`, whose
@@ -45,14 +45,12 @@ def study(paths: Sequence[str | Path]) -> dict[str, Any]:
 
     Raises:
         UnreadableFile: A file that is no score.
-        InvalidOption: No file, two of one name, rows without a margin, or other completers in one than in another.
+        InvalidOption: No file, a set called `TOGETHER`, rows without a margin, or other completers in one than in
+            another.
     """
-    reports = {Path(path).stem: read_report(path) for path in paths}
-    if not reports or len(reports) < len(paths) or TOGETHER in reports:
-        raise InvalidOption(
-            f"{len(paths)} scores with {len(reports)} names; at least one is expected, each under a name of its own "
-            f"other than {TOGETHER}"
-        )
+    if not scores or TOGETHER in scores:
+        raise InvalidOption(f"sets are {', '.join(scores) or 'none'}; at least one is expected, none called {TOGETHER}")
+    reports = {name: read_report(path) for name, path in scores.items()}
     for name, report in reports.items():
         if any(row.margin is None for row in report.rows):
             raise InvalidOption(f"{name} has rows without a margin, as older versions wrote them: score it again")

@@ -1,0 +1,253 @@
+"""The bench of traffic: completions of what a LiDAR saw in given boxes, by the measures of KITTI's completion papers.
+
+Fidelity, minimal matching distance and consistency are those of PCN (Yuan et al. 2018, arXiv:1808.00671), all in
+metres and unsquared, and in the box's own frame; but fidelity is measured towards what all scans of a track saw
+together, since towards the input alone a copy of it is perfect.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cache, partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial import KDTree
+
+from gfp_grasp.bench.methods import UNDEFORMED, config_of
+from gfp_grasp.complete import complete_to_mesh
+from gfp_grasp.datasets import ALIKE, Scan, TrafficBox, accumulated, read_scans, read_tracks
+from gfp_grasp.detect import Road, find_road
+from gfp_grasp.errors import GfpGraspError, InvalidOption, NothingDetected
+from gfp_grasp.metrics import chamfer_m, visible_surface
+from gfp_grasp.parallel import Progress, pmap
+from gfp_grasp.shapes import FAMILIES, make_shape, split_seeds
+from gfp_grasp.transforms import apply_T, invert_T
+from gfp_grasp.types import LIDAR
+
+OURS, PARTIAL = "gfpnet", "partial"
+PAPER = ("told-pcrnet", "told-pcrnet-gfs", "told-pcrnet-gfpnet-paper")
+ROWS = (PARTIAL, *PAPER, UNDEFORMED, OURS)
+_SAMPLES = 4096
+_UP = np.array([0.0, 0.0, 1.0])
+_GROUND_M, _FEW_OF_ROAD = 0.25, 8  # points of the road are as near to the foot of the box, and as many at least
+_WHOLE = 24  # shapes of the test split that the matching distance looks among
+
+
+@dataclass(frozen=True)
+class KittiConfig:
+    """What of a tree is measured.
+
+    Attributes:
+        rows: Methods, some of ROWS; the paper's own, PAPER, are told the class.
+        least_points: Things of fewer points are left out.
+        frames: Consecutive scans of each track, about its middle.
+        limit: Most scans; None reads all.
+    """
+
+    rows: tuple[str, ...] = ROWS
+    least_points: int = 100
+    frames: int = 12
+    limit: int | None = None
+
+    def __post_init__(self) -> None:
+        unknown = [row for row in self.rows if row not in ROWS]
+        if unknown or not self.rows:
+            raise InvalidOption(f"rows are {self.rows}; some of {', '.join(ROWS)} are expected")
+        if self.least_points < 10 or self.frames < 2:
+            raise InvalidOption(
+                f"least_points is {self.least_points}, frames {self.frames}; at least 10 and 2 are expected"
+            )
+
+
+@dataclass(frozen=True, eq=False)
+class _Thing:
+    """Points of one thing in one scan, its box, and the road's height, m, under it, None where none is in sight.
+
+    And what other scans saw of it; None where it is of no track.
+    """
+
+    name: str
+    track: str
+    frame: int
+    points: np.ndarray
+    box: TrafficBox
+    road_m: float | None
+    truth: np.ndarray | None
+
+
+def bench_kitti(
+    data: Path, *, config: KittiConfig = KittiConfig(), workers: int = 1, progress: Progress | None = None
+) -> dict[str, Any]:
+    """Complete the things in a tree's boxes.
+
+    Args:
+        data: Folder, as `read_scans` and `read_tracks` take it.
+        config: What is measured.
+        workers: Processes.
+        progress: Wraps the stream of things.
+
+    What is completed stands on the road, where the scan shows it.
+
+    Returns:
+        {"rows": {row: figures}}: "things", "refused", "class_right" (van for car or truck is right, too), "size_error"
+        (median of the mean error of length, width and height), "heading_deg" (median, either way round) and
+        "turned_round" (share that face backwards), "fidelity_m", "mmd_m" and "consistency_m" (medians), "seconds"
+        (median); "by_class" has the same by class, "each" every one of them.
+
+    Raises:
+        UnreadableFile: No scan in the folder.
+        InvalidOption: Nothing of enough points in it.
+    """
+    things = _things(data, config)
+    if not things:
+        raise InvalidOption(f"{data.name} holds no box of a class with at least {config.least_points} points")
+    measured = list(pmap(partial(_measure, rows=config.rows), things, workers=workers, progress=progress))
+    rows = {}
+    for row in config.rows:
+        found = [one[row] for one in measured]
+        classes = sorted({one["class"] for one in found})
+        rows[row] = {
+            **_figures(found),
+            "by_class": {name: _figures([one for one in found if one["class"] == name]) for name in classes},
+            "each": [{key: value for key, value in one.items() if key != "surface"} for one in found],
+        }
+    return {"rows": rows, "frames": config.frames, "least_points": config.least_points}
+
+
+def _things(data: Path, config: KittiConfig) -> list[_Thing]:
+    found = []
+    try:
+        scans = list(read_scans(data, limit=config.limit))
+    except GfpGraspError:
+        scans = []
+    for scan in scans:
+        road = _road_of(scan)
+        for number, box in enumerate(scan.boxes):
+            points = scan.points[box.inside(scan.points)]
+            if box.category in FAMILIES and box.track is None and len(points) >= config.least_points:
+                under = None if road is None else float(box.centre[2] - road.heights(box.centre[None])[0])
+                found.append(_Thing(f"{scan.name}/{number}", "", 0, points, box, under, None))
+    for name, views in read_tracks(data).items():
+        cropped = [(points[box.inside(points)], box) for points, box in views]
+        roads = [_road_about(points, box) for points, box in views]
+        first = max(0, (len(cropped) - config.frames) // 2)
+        for frame in range(first, min(first + config.frames, len(cropped))):
+            points, box = cropped[frame]
+            if box.category in FAMILIES and len(points) >= config.least_points:
+                truth = accumulated(cropped, frame)
+                found.append(_Thing(f"{name}/{frame}", name, frame, points, box, roads[frame], truth))
+    return found
+
+
+def _road_of(scan: Scan) -> Road | None:
+    try:
+        return find_road(scan.points, _UP, viewpoint=np.zeros(3))
+    except NothingDetected:  # a crop of one thing
+        return None
+
+
+def _road_about(points: np.ndarray, box: TrafficBox) -> float | None:
+    """Height of the road about a thing, by the points at its foot that are outside of its box; None for too few."""
+    beside = ~box.inside(points, road_m=-1.0)
+    low = points[beside, 2]
+    low = low[np.abs(low - (box.centre[2] - box.size_m[2] / 2)) < _GROUND_M]
+    return float(np.median(low)) if len(low) >= _FEW_OF_ROAD else None
+
+
+def _measure(thing: _Thing, *, rows: Sequence[str]) -> dict[str, dict[str, Any]]:
+    return {row: _measured(thing, row) for row in rows}
+
+
+def _measured(thing: _Thing, row: str) -> dict[str, Any]:
+    """One thing under one method; its surface is kept, in the box's frame, for what is measured over time."""
+    about = {"name": thing.name, "track": thing.track, "frame": thing.frame, "class": thing.box.category}
+    about |= {"points": len(thing.points), "distance_m": round(float(np.hypot(*thing.box.centre[:2])), 1)}
+    to_box = invert_T(thing.box.T_scan_box)
+    started = time.perf_counter()
+    rng = np.random.default_rng(0)
+    if row == PARTIAL:
+        surface: np.ndarray = apply_T(to_box, thing.points)
+        more: dict[str, Any] = {"named": thing.box.category}
+    else:
+        config, tell = config_of(row, given=thing.box.category)
+        try:
+            done = complete_to_mesh(
+                thing.points,
+                viewpoint=np.zeros(3),
+                sensor=LIDAR,
+                support_height=thing.road_m,
+                category=thing.box.category if tell else None,
+                config=config,
+            )
+        except GfpGraspError as error:
+            return {**about, "refused": f"{type(error).__name__}: {error}"}
+        mesh = done.mesh.copy()
+        mesh.apply_transform(to_box)
+        surface, more = (
+            visible_surface(mesh, _SAMPLES, rng),
+            {"named": done.detection.category, "made_by": done.made_by},
+        )
+        more["size_error"] = round(float(np.abs(mesh.extents / thing.box.size_m - 1).mean()), 4)
+        if done.fit is not None:
+            forward = to_box[:3, :3] @ done.fit.T_world_object[:3, 0]
+            more["heading_deg"] = round(float(np.degrees(np.arctan2(forward[1], forward[0]))), 1)
+    more["seconds"] = round(time.perf_counter() - started, 3)
+    more["mmd_m"] = round(_matching_m(surface, thing.box.category), 4)
+    if thing.truth is not None:
+        truth = apply_T(to_box, thing.truth)
+        more["fidelity_m"] = round(float(KDTree(truth).query(surface)[0].mean()), 4)
+    return {**about, **more, "surface": surface}
+
+
+def _matching_m(surface: np.ndarray, category: str) -> float:
+    """Chamfer distance to the nearest whole shape of the class, laid middle on middle on the ground, either way."""
+    centred = _on_ground(surface)
+    turned = centred * (-1, -1, 1)
+    return min(chamfer_m(way, whole) for whole in _whole_shapes(category) for way in (centred, turned))
+
+
+@cache
+def _whole_shapes(category: str) -> tuple[np.ndarray, ...]:
+    rng = np.random.default_rng(0)
+    meshes = [make_shape(category, seed).mesh for seed in split_seeds(category, "test", _WHOLE)]
+    return tuple(_on_ground(visible_surface(mesh, _SAMPLES // 4, rng)) for mesh in meshes)
+
+
+def _on_ground(points: np.ndarray) -> np.ndarray:
+    low, high = points.min(axis=0), points.max(axis=0)
+    return points - np.array([*((low + high)[:2] / 2), low[2]])
+
+
+def _figures(found: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    answered = [one for one in found if "refused" not in one]
+    figures: dict[str, Any] = {"things": len(found), "refused": len(found) - len(answered)}
+    if not answered:
+        return figures
+    right = [
+        one["named"] == one["class"] or any({one["named"], one["class"]} <= pair for pair in ALIKE) for one in answered
+    ]
+    figures["class_right"] = round(float(np.mean(right)), 4)
+    headings = np.array([one["heading_deg"] for one in answered if "heading_deg" in one])
+    if len(headings):
+        off = np.abs((headings + 180) % 360 - 180)
+        figures["heading_deg"] = round(float(np.median(np.minimum(off, 180 - off))), 1)
+        figures["turned_round"] = round(float((off > 90).mean()), 4)
+    for name in ("size_error", "fidelity_m", "mmd_m", "seconds"):
+        values = [one[name] for one in answered if name in one]
+        if values:
+            figures[name] = round(float(np.median(values)), 4)
+    between = _consistencies(answered)
+    if between:
+        figures["consistency_m"] = round(float(np.median(between)), 4)
+    return figures
+
+
+def _consistencies(found: Sequence[Mapping[str, Any]]) -> list[float]:
+    """Chamfer distances between completions of one thing in consecutive scans, in the box's frame."""
+    by_place = {(one["track"], one["frame"]): one["surface"] for one in found if one["track"]}
+    pairs = [(surface, by_place.get((track, frame + 1))) for (track, frame), surface in by_place.items()]
+    return [chamfer_m(one, other) for one, other in pairs if other is not None]

@@ -1,0 +1,34 @@
+"""Which classes stand in streets, how often, and where."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class InStreets:
+    """How a class takes part in a street.
+
+    Attributes:
+        share: Of all vehicles and people.
+        places: Where it may be, each as likely: "parked" at a kerb, "moving" on a lane, or on the "pavement".
+        crosses: Whether on the road it may face any way.
+    """
+
+    share: float
+    places: tuple[str, ...]
+    crosses: bool = False
+
+
+IN_STREETS: Mapping[str, InStreets] = {
+    "car": InStreets(0.50, ("parked", "moving")),
+    "van": InStreets(0.10, ("parked", "moving")),
+    "truck": InStreets(0.05, ("parked", "moving")),
+    "bus": InStreets(0.03, ("moving",)),
+    "pedestrian": InStreets(0.16, ("pavement", "pavement", "moving"), crosses=True),
+    "cyclist": InStreets(0.08, ("moving",)),
+    "motorcycle": InStreets(0.04, ("moving", "pavement")),
+    "bicycle": InStreets(0.04, ("pavement",)),
+}
+STREET_FURNITURE = ("traffic_sign", "traffic_cone")
