@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 from scipy import ndimage
-from scipy.spatial import KDTree
+from scipy.spatial import ConvexHull, Delaunay, KDTree
 
 from gfp_grasp.camera import visible_points
 from gfp_grasp.clouds import estimate_normals, order_points, thin, thin_index
@@ -205,10 +205,22 @@ def guessed_silhouette(points: np.ndarray, viewpoint: np.ndarray, sensor: Sensor
     mask[row, column] = True
     mask = ndimage.binary_closing(mask, structure=np.ones((3, 3)), iterations=2)
     between = round(sensor.step_rad / 2 * focal)  # rows, above and below, in which no ring looked
-    if between:
+    if sensor.step_rad:
+        mask = _convex(mask)
         mask = ndimage.binary_dilation(mask, structure=np.ones((2 * between + 1, 1)))
     view = DepthImage(np.zeros(mask.shape, dtype=np.float32), K, T_world_camera)
     return Silhouette(view, np.where(mask, 0.0, np.inf), False, _offset_to(mask), _FREE_MARGIN * sensor.sigma_m)
+
+
+def _convex(mask: np.ndarray) -> np.ndarray:
+    """The mask with all that lies between any two of its pixels: a LiDAR loses returns, of panes and dark paint."""
+    pixels = np.argwhere(mask)
+    if len(pixels) < 3 or np.linalg.matrix_rank(pixels - pixels[0]) < 2:
+        return mask
+    corners = pixels[ConvexHull(pixels).vertices].astype(np.float64)
+    everywhere = np.argwhere(np.ones_like(mask))
+    inside = Delaunay(corners).find_simplex(everywhere) >= 0
+    return mask | inside.reshape(mask.shape)
 
 
 def _below_highest(

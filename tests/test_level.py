@@ -223,3 +223,17 @@ def test_a_foot_and_a_top_between_two_rings_may_be_half_a_step_beyond_the_points
     top = np.array([0.0, 0.0, float((points - points.mean(axis=0))[:, 2].max())])
     free = [len(view.silhouette.free_space_violation(top[None] + [0, 0, up])[0]) for up in (0.03, 0.12)]
     assert free == [0, 1]
+
+
+def test_returns_that_a_lidar_lost_are_no_free_space() -> None:
+    """A pane in a wall gives none; what lies beside the wall is free, as it is for a depth camera in the pane too."""
+    points = side_of_a_bus(10.0)[4 * 60 :]
+    pane = (np.abs(points[:, 1]) < 1.5) & (np.abs(points[:, 2] - 0.9) < 0.35)
+    view = seen_by_lidar(points[~pane])
+    assert view.silhouette is not None
+    centre = points[~pane].mean(axis=0)
+    T_level_world = invert_T(view.T_world_level)
+    within, beside = (apply_T(T_level_world, np.array([[10.0, y, 0.9]])) for y in (0.0, 5.0))
+    assert len(view.silhouette.free_space_violation(within)[0]) == 0
+    assert len(view.silhouette.free_space_violation(beside)[0]) == 1
+    assert centre[0] == pytest.approx(10.0)

@@ -7,11 +7,12 @@ from toy_car import LENGTH_M, car_primitive, scanned
 
 from gfp_grasp import complete_to_mesh
 from gfp_grasp.complete import CompleteConfig
+from gfp_grasp.detect import DetectConfig, detect_single
 from gfp_grasp.errors import InvalidCloud
 from gfp_grasp.meshes import sample_surface
 from gfp_grasp.primitives import PrimitiveLibrary, save_primitive
 from gfp_grasp.transforms import apply_T, make_T, rotation_about
-from gfp_grasp.types import TABLETOP
+from gfp_grasp.types import LIDAR, TABLETOP
 
 YAW_RAD = 2.2
 T_WORLD_CAR = make_T(rotation_about((0, 0, 1), YAW_RAD), (12.0, -9.0, 0.0))  # 15 m away
@@ -67,3 +68,21 @@ def test_cloud_of_a_car_is_refused_as_a_tabletops_with_the_sensor_to_name(true_c
     ):
         complete_to_mesh(cloud.points, viewpoint=cloud.viewpoint, category="toy_car", config=config)
     assert TABLETOP.largest_m < LENGTH_M
+
+
+def test_a_side_of_which_few_rings_came_back_stays_a_part_of_the_car() -> None:
+    """A back with returns every 7 cm, a dark flank with some every 35 cm, at 14 m; a pole 3 m behind it is apart."""
+
+    def places(x: np.ndarray, y: np.ndarray, z: np.ndarray) -> np.ndarray:
+        return np.stack(np.meshgrid(x, y, z), axis=-1).reshape(-1, 3)
+
+    back = places(np.array([14.0]), np.arange(-0.8, 0.81, 0.07), np.arange(0.3, 1.5, 0.07))
+    flank = places(np.arange(14.3, 18.0, 0.35), np.array([-0.8]), np.arange(0.4, 1.4, 0.35))
+    pole = places(np.array([21.0]), np.array([-0.8]), np.arange(0.3, 2.0, 0.05))
+    points, config = np.concatenate([back, flank, pole]), DetectConfig(sensor=LIDAR, classify=False)
+    with pytest.warns(UserWarning, match="hang apart"):
+        found = detect_single(
+            points, viewpoint=np.array([0, 0, 1.73]), up=np.array([0, 0, 1.0]), support_height=0.0, config=config
+        )
+    assert len(found.cloud.points) == len(back) + len(flank)
+    assert np.ptp(found.cloud.points[:, 0]) == pytest.approx(np.ptp(flank[:, 0]) + 0.3)

@@ -225,12 +225,12 @@ def label_points(
     return labels
 
 
-def cluster_points(points: np.ndarray, sensor: SensorProfile) -> np.ndarray:
+def cluster_points(points: np.ndarray, sensor: SensorProfile, *, least_gap_m: float = 0.0) -> np.ndarray:
     """(n,) int32 clusters of (n, 3) points by DBSCAN, 0 for outliers; the gap grows where the points are sparse."""
     if len(points) < 2:
         return np.zeros(len(points), dtype=np.int32)
     spacing = float(np.median(KDTree(points).query(points[:: -(-len(points) // 2000)], k=2)[0][:, 1]))
-    gap_m = max(_GAP * sensor.sigma_m, 3.0 * spacing)
+    gap_m = max(_GAP * sensor.sigma_m, 3.0 * spacing, least_gap_m)
     # Three cells to the gap: the time grows with the square of how many points lie within it.
     centres, cell_of = voxel_grid(points, gap_m / 3)
     found = DBSCAN(eps=gap_m, min_samples=_NEIGHBOURS).fit(centres).labels_[cell_of]

@@ -23,6 +23,7 @@ from gfp_grasp.types import DepthImage, Detection, SensorProfile, SupportPlane, 
 from gfp_grasp.units import unit_advice
 
 # No camera has an object fill more of its picture than this, to either side; from within one it is a half space.
+_RINGS_APART = 6.0  # steps of a LiDAR's rings that points of one thing may be apart
 _MAX_HALF_ANGLE_DEG = 65.0
 _MIN_SHARE_IN_MASK = 0.1
 _CROWD_OF = 4000  # grid cells among which the neighbours of each are counted
@@ -122,7 +123,9 @@ def _object_points(
     points: np.ndarray, support: SupportPlane | None, viewpoint: np.ndarray | None, config: DetectConfig
 ) -> np.ndarray:
     """Points of the object alone: above the support, in one cluster or in several near ones, no flying pixels."""
-    if support is None:
+    if config.sensor.step_rad and viewpoint is not None:
+        labels = _between_rings(points, support, viewpoint, config.sensor)
+    elif support is None:
         centres, cell_of = voxel_grid(points, VOXEL * config.sensor.sigma_m)
         labels = cluster_points(centres, config.sensor)[cell_of]
     else:
@@ -180,6 +183,21 @@ def _warn_of_lost(chosen: np.ndarray, points: np.ndarray) -> None:
         )
 
 
+def _between_rings(
+    points: np.ndarray, support: SupportPlane | None, viewpoint: np.ndarray, sensor: SensorProfile
+) -> np.ndarray:
+    """(n,) int32 clusters of what a LiDAR saw, 0 for what is of the road and for outliers.
+
+    A side that is met at a slant, or whose paint is dark, has returns of every few rings alone.
+    """
+    above = np.ones(len(points), dtype=bool) if support is None else support.distances(points) > sensor.floor_m
+    labels = np.zeros(len(points), dtype=np.int32)
+    if above.any():
+        range_m = float(np.median(np.linalg.norm(points[above] - viewpoint, axis=1)))
+        labels[above] = cluster_points(points[above], sensor, least_gap_m=_RINGS_APART * sensor.step_rad * range_m)
+    return labels
+
+
 def _chosen_clusters(points: np.ndarray, labels: np.ndarray, sensor: SensorProfile) -> list[int]:
     """The biggest cluster, and those so near that an occluder may part them; warns of every other one that counts."""
     cell_m = 2 * VOXEL * sensor.sigma_m
@@ -220,8 +238,11 @@ def _refuse_too_large(points: np.ndarray, sensor: SensorProfile) -> None:
 def _without_flying(points: np.ndarray, viewpoint: np.ndarray | None, sensor: SensorProfile) -> np.ndarray:
     """Points whose surroundings are not much emptier than the object's: flying pixels hang in the air by themselves.
 
-    Those of a surface at a slant are far from each other, but at the range of some that neighbouring rays saw.
+    Those of a surface at a slant are far from each other, but at the range of some that neighbouring rays saw. All of a
+    LiDAR's are kept: its dark sides are as empty.
     """
+    if sensor.step_rad:
+        return points
     cell_m = VOXEL * sensor.sigma_m
     centres, cell_of = voxel_grid(points, cell_m)
     some = centres[:: -(-len(centres) // _CROWD_OF)]

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from gfp_grasp.register.state import PoseShape
+from gfp_grasp.register.corners import corner_starts
+from gfp_grasp.register.state import PoseShape, start_of
 from gfp_grasp.transforms import rotation_about, rotation_between
 from gfp_grasp.types import GenericPrimitive, LevelView, Proposal
 
@@ -52,6 +52,8 @@ def proposed_starts(primitive: GenericPrimitive, evidence: LevelView, hypotheses
         return make_starts(primitive, evidence, hypotheses)
     likeliest = max(rests, key=lambda way: proposal.rests[way])
     possible = tuple(way for way in rests if way != likeliest and proposal.rests[way] > _POSSIBLE)
+    if evidence.sensor.step_rad and evidence.viewpoint is not None and likeliest == "upright":
+        return [*corner_starts(primitive, evidence), _proposed(primitive, evidence, likeliest, 0.0)]
     if evidence.cut is not None:  # the look takes what it sees for nearly all; the class knows how long it is
         return make_starts(primitive, evidence, (likeliest, *possible))
     found = [_proposed(primitive, evidence, likeliest, yaw) for yaw in _proposed_yaws(primitive, proposal)]
@@ -82,7 +84,7 @@ def _proposed(primitive: GenericPrimitive, evidence: LevelView, hypothesis: str,
     low, high = primitive.vertices.min(axis=0), primitive.vertices.max(axis=0)
     scale = np.maximum(box.extents / (high - low), _LEAST_SCALE)
     sigma = _LYING_SIGMA_RAD if hypothesis == "lying" else _STANDING_SIGMA_RAD
-    state = _state(primitive, R, np.zeros(3), scale, sigma, hypothesis)
+    state = start_of(primitive, R, np.zeros(3), scale, sigma, hypothesis)
     centre = box.T_world_box[:3, 3] - R @ (np.exp(state.log_scale) * (low + high) / 2)
     lowest = float((state.world(primitive.vertices) @ evidence.up).min())
     return replace(state, t=centre + (evidence.floor_m - lowest - float(centre @ evidence.up)) * evidence.up)
@@ -184,7 +186,7 @@ def _standing(
         + box.deep * (box.near - wide * float(depth.max()))
         + box.axis * (low - long * float(along.min()))
     )
-    return _state(primitive, R, centre, (wide, wide, long), _STANDING_SIGMA_RAD, hypothesis)
+    return start_of(primitive, R, centre, (wide, wide, long), _STANDING_SIGMA_RAD, hypothesis)
 
 
 def _lying(primitive: GenericPrimitive, evidence: LevelView, box: _LyingBox, *, flat: bool = False) -> PoseShape:
@@ -202,7 +204,7 @@ def _lying(primitive: GenericPrimitive, evidence: LevelView, box: _LyingBox, *, 
         + box.flat * middle
         + box.axis * (low - long * float(along.min()))
     )
-    return _state(primitive, R, centre, (tall, wide, long), _LYING_SIGMA_RAD, "lying")
+    return start_of(primitive, R, centre, (tall, wide, long), _LYING_SIGMA_RAD, "lying")
 
 
 def _is_flat(box: _LyingBox, evidence: LevelView) -> bool:
@@ -215,27 +217,6 @@ def _frame(axis: np.ndarray, facing: np.ndarray) -> np.ndarray:
     x = facing - (facing @ axis) * axis
     x /= np.linalg.norm(x)
     return np.column_stack([x, np.cross(axis, x), axis])
-
-
-def _state(
-    primitive: GenericPrimitive,
-    R: np.ndarray,
-    centre: np.ndarray,
-    scale: ArrayLike,
-    axis_sigma_rad: float,
-    hypothesis: str,
-) -> PoseShape:
-    sigma = 2.0 * np.sqrt(np.diag(primitive.log_scale_cov) + 1e-4)
-    return PoseShape(
-        R=R,
-        t=centre,
-        log_scale=np.clip(np.log(scale), -sigma, sigma),
-        coefficients=np.zeros(len(primitive.modes)),
-        axis_world=R[:, 2],
-        axis_sigma_rad=float(axis_sigma_rad),
-        hypothesis=hypothesis,
-        rest_cost=primitive.spec.rest_costs().get(hypothesis, 0.0),
-    )
 
 
 def _cosine_in_picture(evidence: LevelView, direction: np.ndarray) -> float:

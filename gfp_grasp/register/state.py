@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from gfp_grasp.meshes import triangle_normals
 from gfp_grasp.types import GenericPrimitive
@@ -87,6 +88,28 @@ class PoseShape:
     def world(self, local: np.ndarray) -> np.ndarray:
         """World positions (n, 3) m of points (n, 3) of the primitive that the modes have moved already."""
         return (np.exp(self.log_scale) * local) @ self.R.T + self.t
+
+
+def start_of(
+    primitive: GenericPrimitive,
+    R: np.ndarray,
+    centre: np.ndarray,
+    scale: ArrayLike,
+    axis_sigma_rad: float,
+    hypothesis: str,
+) -> PoseShape:
+    """The mean shape of a primitive at a pose and scale (3,), no farther from its own size than two sigma."""
+    sigma = 2.0 * np.sqrt(np.diag(primitive.log_scale_cov) + 1e-4)
+    return PoseShape(
+        R=R,
+        t=centre,
+        log_scale=np.clip(np.log(scale), -sigma, sigma),
+        coefficients=np.zeros(len(primitive.modes)),
+        axis_world=R[:, 2],
+        axis_sigma_rad=float(axis_sigma_rad),
+        hypothesis=hypothesis,
+        rest_cost=primitive.spec.rest_costs().get(hypothesis, 0.0),
+    )
 
 
 @dataclass(frozen=True, eq=False)
