@@ -117,7 +117,8 @@ def answer(view: LevelView, detection: Detection, config: CompleteConfig, clock:
             if not asked and not config.fall_back:
                 return shape
             misfit = misfit_of(shape.mesh, view)
-            doubts += misfit.faults() if config.fall_back else []
+            of_long_class = not can_be_asked(detection.sensor)
+            doubts += misfit.faults(of_long_class=of_long_class) if config.fall_back else []
             if asked:
                 assert shape.fit is not None
                 unknown = probability_unknown(look, evidence_of_fit(shape.fit, misfit))

@@ -86,3 +86,10 @@ def test_surface_where_nothing_was_seen_to_be_is_counted_by_its_area() -> None:
 )
 def test_what_cannot_be_is_told(misfit: Misfit, told: list[str]) -> None:
     assert misfit.faults() == told
+
+
+def test_a_lorry_that_is_seen_from_an_end_may_reach_far_beyond_it() -> None:
+    long = Misfit(off_points=0.0, away=0.0, in_free_space=0.0, beyond=4.0)
+    assert long.faults() == ["it reaches 4.0 lengths beyond what was seen"]
+    assert long.faults(of_long_class=True) == []
+    assert len(replace(long, off_points=0.5).faults(of_long_class=True)) == 1
