@@ -42,7 +42,7 @@ class Misfit:
         """Why the surface cannot be right; nothing where it may be.
 
         Args:
-            of_long_class: Things of its class are long, as lorries are: of one that is seen from an end, most is unseen.
+            of_long_class: Things of its class are long, as lorries are: of one that is seen from an end most is unseen.
         """
         faults = []
         if self.off_points > _OFF_POINTS:
