@@ -244,7 +244,8 @@ def _below_highest(
         there = silhouette.view.unproject(np.stack([columns, rows], axis=-1), np.ones((height, width))) - viewpoint
         above = np.arctan2(there[..., 2], np.linalg.norm(there[..., :2], axis=-1)) > limit
         silhouette = replace(silhouette, free_range_m=np.where(above, 0.0, silhouette.free_range_m))
-    ahead = away[:, :2].mean(axis=0) / np.linalg.norm(away[:, :2].mean(axis=0))
+    middle = away[:, :2].mean(axis=0)
+    ahead = middle / np.linalg.norm(middle)
     return silhouette, np.array([*(-np.sin(limit) * ahead), np.cos(limit)])
 
 

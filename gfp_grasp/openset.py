@@ -39,7 +39,7 @@ class LogisticModel:
     bias: float
 
     def probability(self, evidence: Sequence[float] | np.ndarray) -> float:
-        """Of being of no class."""
+        """The probability of being of no class."""
         return float(1.0 / (1.0 + np.exp(-np.clip(self.bias + np.dot(self.weights, evidence), -50.0, 50.0))))
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from gfp_grasp.camera import LidarModel
-from gfp_grasp.detect.road import find_road
+from gfp_grasp.detect import find_road
 from gfp_grasp.errors import NothingDetected
 from gfp_grasp.scenes import draw_street, scan_street
 from gfp_grasp.transforms import apply_T, make_T, rotation_about

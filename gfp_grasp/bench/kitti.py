@@ -65,9 +65,16 @@ class KittiConfig:
 
 @dataclass(frozen=True, eq=False)
 class _Thing:
-    """Points of one thing in one scan, its box, and the road's height, m, under it, None where none is in sight.
+    """One thing in one scan.
 
-    And what other scans saw of it; None where it is of no track.
+    Attributes:
+        name: Names it among all.
+        track: Name of its track; "" for none.
+        frame: Number of the scan in its track.
+        points: (n, 3) m, in its box, without the road.
+        box: Its label.
+        road_m: Height of the road under it; None where none is in sight.
+        truth: (m, 3) m, what all scans near in time saw of it; None where it is of no track.
     """
 
     name: str
@@ -120,27 +127,26 @@ def bench_kitti(
 
 def _things(data: Path, config: KittiConfig) -> list[_Thing]:
     found = []
-    try:
-        scans = list(read_scans(data, limit=config.limit))
-    except GfpGraspError:
-        scans = []
-    for scan in scans:
-        road = _road_of(scan)
-        for number, box in enumerate(scan.boxes):
-            points = scan.points[box.inside(scan.points)]
-            if box.category in FAMILIES and box.track is None and len(points) >= config.least_points:
-                under = None if road is None else float(box.centre[2] - road.heights(box.centre[None])[0])
-                found.append(_Thing(f"{scan.name}/{number}", "", 0, points, box, under, None))
+    for scan in read_scans(data, limit=config.limit):
+        cropped = [(number, box, scan.points[box.inside(scan.points)]) for number, box in enumerate(scan.boxes)]
+        own = [one for one in cropped if one[1].track is None and _counts(one[1], one[2], config)]
+        road = _road_of(scan) if own else None
+        for number, box, points in own:
+            under = None if road is None else float(box.centre[2] - road.heights(box.centre[None])[0])
+            found.append(_Thing(f"{scan.name}/{number}", "", 0, points, box, under, None))
     for name, views in read_tracks(data).items():
         cropped = [(points[box.inside(points)], box) for points, box in views]
-        roads = [_road_about(points, box) for points, box in views]
         first = max(0, (len(cropped) - config.frames) // 2)
         for frame in range(first, min(first + config.frames, len(cropped))):
             points, box = cropped[frame]
-            if box.category in FAMILIES and len(points) >= config.least_points:
-                truth = accumulated(cropped, frame)
-                found.append(_Thing(f"{name}/{frame}", name, frame, points, box, roads[frame], truth))
+            if _counts(box, points, config):
+                road_m, truth = _road_about(*views[frame]), accumulated(cropped, frame)
+                found.append(_Thing(f"{name}/{frame}", name, frame, points, box, road_m, truth))
     return found
+
+
+def _counts(box: TrafficBox, points: np.ndarray, config: KittiConfig) -> bool:
+    return box.category in FAMILIES and len(points) >= config.least_points
 
 
 def _road_of(scan: Scan) -> Road | None:

@@ -51,7 +51,7 @@ def render_mesh_view(
         seen.append((apply_T(T_camera_world, vertices), faces))
     depth, _, index = cast_rays(seen, np.zeros(3), rays)
     if table_height is not None:
-        table = _table_depth(rays, T_camera_world, table_height)
+        table = table_depth(rays, T_camera_world, table_height)
         index = np.where(table < depth, len(meshes), index)
         depth = np.minimum(depth, table)
     lost = depth > farthest_m
@@ -97,8 +97,8 @@ def cast_rays(
     return distance, np.where(missed, -1, hit["primID"]).astype(np.int64), mesh_of
 
 
-def _table_depth(rays: np.ndarray, T_camera_world: np.ndarray, table_height: float) -> np.ndarray:
-    """Depth (r,) m of the plane z = table_height along rays (r, 3) with z = 1; inf where a ray misses it."""
+def table_depth(rays: np.ndarray, T_camera_world: np.ndarray, table_height: float) -> np.ndarray:
+    """How many of their own lengths (r,) rays (r, 3) of a camera go to the plane z = table_height; inf for a miss."""
     up = T_camera_world[:3, 2]
     offset = up @ T_camera_world[:3, 3] + table_height
     slope = rays @ up

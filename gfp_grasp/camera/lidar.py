@@ -11,8 +11,9 @@ from dataclasses import dataclass
 import numpy as np
 import trimesh
 
-from gfp_grasp.camera.cast import cast_rays, checked_mesh
+from gfp_grasp.camera.cast import cast_rays, checked_mesh, table_depth
 from gfp_grasp.errors import InvalidOption
+from gfp_grasp.transforms import make_T
 from gfp_grasp.types import RangeImage, pixels_of
 
 
@@ -21,7 +22,7 @@ class LidarModel:
     """A spinning LiDAR and its noise.
 
     Attributes:
-        elevation_deg: Of each ring above the sensor's xy plane, from the highest down.
+        elevation_deg: How high each ring looks above the sensor's xy plane, from the highest down.
         columns: Shots of each ring in one turn.
         height_m: Height above the road that it is mounted at.
         sigma_m: Standard deviation of a range.
@@ -64,11 +65,13 @@ class LidarModel:
             np.broadcast_arrays(level * np.cos(azimuth), level * np.sin(azimuth), np.sin(elevation)), axis=-1
         )
 
-    def returned(self, range_m: np.ndarray, rng: np.random.Generator) -> np.ndarray:
-        """Ranges (...) m as the sensor tells them; 0 where nothing comes back."""
-        noisy = range_m + self.sigma_m * rng.standard_normal(range_m.shape)
-        back = (noisy >= self.nearest_m) & (noisy <= self.farthest_m) & (rng.random(range_m.shape) >= self.lost_share)
-        return np.where(back, noisy, 0.0)
+    def returned(self, range_m: np.ndarray, rng: np.random.Generator | None) -> np.ndarray:
+        """Ranges (...) m as the sensor tells them; 0 where nothing comes back. None leaves noise and losses out."""
+        kept = np.ones(range_m.shape, dtype=bool)
+        if rng is not None:
+            range_m = range_m + self.sigma_m * rng.standard_normal(range_m.shape)
+            kept = rng.random(range_m.shape) >= self.lost_share
+        return np.where(kept & (range_m >= self.nearest_m) & (range_m <= self.farthest_m), range_m, 0.0)
 
 
 _AZIMUTH_RAD = np.pi
@@ -110,9 +113,8 @@ def scan_meshes(
     origin = T_world_sensor[:3, 3]
     range_m, _, index = cast_rays([checked_mesh(mesh, i) for i, mesh in enumerate(meshes)], origin, flat)
     if ground_m is not None:
-        with np.errstate(divide="ignore"):
-            to_ground = (ground_m - origin[2]) / flat[:, 2]
-        under = (to_ground > 0) & (to_ground < range_m)
+        to_ground = table_depth(flat, make_T(None, -origin), ground_m)
+        under = to_ground < range_m
         range_m, index = np.where(under, to_ground, range_m), np.where(under, len(meshes), index)
     return scan_of_hits(range_m, index, lidar, T_world_sensor, rng)
 
@@ -156,10 +158,6 @@ def scan_of_hits(
         The scan, and what its returns met (h, w) int32, -1 where nothing came back.
     """
     shape = len(lidar.elevation_deg), lidar.columns
-    range_m, index = range_m.reshape(shape), index.reshape(shape)
-    if rng is None:
-        seen = np.where((range_m >= lidar.nearest_m) & (range_m <= lidar.farthest_m), range_m, 0.0)
-    else:
-        seen = lidar.returned(range_m, rng)
+    seen = lidar.returned(range_m.reshape(shape), rng)
     image = RangeImage(seen, np.deg2rad(lidar.elevation_deg), _AZIMUTH_RAD, T_world_sensor)
-    return image, np.where(seen > 0, index, -1).astype(np.int32)
+    return image, np.where(seen > 0, index.reshape(shape), -1).astype(np.int32)

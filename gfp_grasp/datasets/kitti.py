@@ -16,6 +16,7 @@ from gfp_grasp.errors import InvalidOption, UnreadableFile
 from gfp_grasp.transforms import apply_T, invert_T, make_T, rotation_about
 
 ROAD_M = 0.1  # the lowest points of a box are of the road up to this
+_GROWN_M = 0.3  # by which the box of a thing of a track is grown
 _VALUES = 4  # of a point in a .bin: x, y, z, intensity
 # What KITTI calls the things that there are primitives of.
 CLASSES = {
@@ -40,7 +41,7 @@ class TrafficBox:
         category: Class, one of the values of CLASSES, or what the label says where it is none of these.
         centre: (3,) m.
         size_m: (3,) length, width, height.
-        yaw_rad: Of its forward direction about z, from x towards y.
+        yaw_rad: Turn of its forward direction about z, from x towards y.
         track: Number of the thing over the scans of a sequence; None where it has none.
     """
 
@@ -226,9 +227,6 @@ def read_tracks(folder: str | Path) -> dict[str, list[tuple[np.ndarray, TrafficB
                 points = scan.points[box.inside(scan.points, road_m=-_GROWN_M, grow_m=_GROWN_M)]
                 found.setdefault(f"{sequence}/{box.track}_{box.category}", []).append((points, box))
     return found
-
-
-_GROWN_M = 0.3
 
 
 def class_of(label: str) -> str:

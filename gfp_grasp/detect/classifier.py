@@ -159,9 +159,9 @@ def library_prototypes(library: PrimitiveLibrary, sensor: SensorProfile = TABLET
     weights = weights_of(sensor)
     if weights != _IN_PRIMITIVES:
         known, shipped = load_prototypes(weights), PrimitiveLibrary.shipped().categories
-        none = np.empty((0, load_card(weights)["config"]["channels"]))
         classes = [name for name in library.categories if name in known or name not in shipped]
-        return {name: mixture([known.get(name, none)], [1.0]) for name in classes}
+        none = Prototypes(np.empty((0, load_card(weights)["config"]["channels"])), np.empty(0), np.empty(0, np.int64))
+        return {name: mixture([known[name]], [1.0]) if name in known else none for name in classes}
     return {category: mixed(library.members_of(category)) for category in library.categories}
 
 
@@ -184,11 +184,9 @@ def _is_known(primitive: GenericPrimitive) -> bool:
 
 def mixture(vectors: Sequence[np.ndarray], shares: Sequence[float]) -> Prototypes:
     """Prototypes (k, c) of several groups of members as one class, each group by its share of all."""
-    weights = np.concatenate(
-        [np.full(len(own), share / max(len(own), 1)) for own, share in zip(vectors, shares, strict=True)]
-    )
+    weights = np.concatenate([np.full(len(own), share / len(own)) for own, share in zip(vectors, shares, strict=True)])
     member = np.repeat(np.arange(len(vectors)), [len(own) for own in vectors])
-    return Prototypes(np.concatenate(vectors).astype(np.float64), weights / max(weights.sum(), 1e-12), member)
+    return Prototypes(np.concatenate(vectors).astype(np.float64), weights / weights.sum(), member)
 
 
 def load_calibration(weights: str = "proposal") -> Calibration:

@@ -241,21 +241,20 @@ def load_network(weights: str = "proposal") -> ProposalNet:
     """A shipped network, in evaluation mode, loaded once."""
     config = load_card(weights)["config"]
     network = ProposalNet(config["channels"], width=config["width"])
-    network.load_state_dict({name: tensor.float() for name, tensor in _tensors(weights).items()})
+    state = {k: v.float() for k, v in _tensors(weights).items() if not k.startswith(PROTOTYPES)}
+    network.load_state_dict(state)
     return network.eval()
 
 
 @cache
 def load_prototypes(weights: str) -> dict[str, np.ndarray]:
     """Unit vectors (k, c) of each class that a shipped network brings prototypes of; most are kept in primitives."""
-    tensors = load_file(data_file("weights", f"{weights}.safetensors"))
-    own = {name.removeprefix(PROTOTYPES): tensors[name] for name in tensors if name.startswith(PROTOTYPES)}
+    own = {k.removeprefix(PROTOTYPES): v for k, v in _tensors(weights).items() if k.startswith(PROTOTYPES)}
     return {name: nn.functional.normalize(vectors.double(), dim=1).numpy() for name, vectors in own.items()}
 
 
 def _tensors(weights: str) -> dict[str, Tensor]:
-    found = load_file(data_file("weights", f"{weights}.safetensors"))
-    return {name: tensor for name, tensor in found.items() if not name.startswith(PROTOTYPES)}
+    return load_file(data_file("weights", f"{weights}.safetensors"))
 
 
 @cache

@@ -11,6 +11,7 @@ from gfp_grasp.types import SupportPlane
 
 _CELL_M = 1.0  # side of the cells whose lowest points stand for the ground
 _FARTHEST_M = 70.0
+_UNIT_M = 30.0  # of the terms of a road
 _FEWEST_CELLS = 12
 _LOWEST = 0.25  # quantile of a cell's heights: the lowest return may be a reflection from below the road
 _STEEPEST = np.tan(np.deg2rad(15))
@@ -53,9 +54,6 @@ class Road:
         normal /= np.linalg.norm(normal)
         on_road = point - self.heights(point[None])[0] * self.up
         return SupportPlane(normal, float(normal @ on_road))
-
-
-_UNIT_M = 30.0
 
 
 def find_road(points: np.ndarray, up: np.ndarray, *, viewpoint: np.ndarray | None = None) -> Road:

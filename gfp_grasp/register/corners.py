@@ -8,14 +8,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from gfp_grasp.register.state import PoseShape, start_of
+from gfp_grasp.register.state import STANDING_SIGMA_RAD, PoseShape, start_of
 from gfp_grasp.types import GenericPrimitive, LevelView
 
 _TURNS = 90  # directions of a side that are tried, a degree apart
 _NEAR_M = 0.05  # nearer to a side than this counts no more
 _SEEN_WHOLE = 0.75  # share of the class's own extent from which on what was seen of a side is its length
 _LIKELY = (0.6, 1.6)  # scales that a side may lend to one that was not seen
-_SIGMA_RAD = np.deg2rad(1.0)
 _ENDS = (0.003, 0.997)
 
 
@@ -60,5 +59,5 @@ def corner_starts(primitive: GenericPrimitive, evidence: LevelView) -> list[Pose
         middle = np.where(nearer_high, high - size / 2, low + size / 2)
         scales = np.append(scale, tall)
         local = np.append(middle, evidence.floor_m) - scales * np.append((low_own + high_own)[:2] / 2, low_own[2])
-        found.append(start_of(primitive, R, R @ local, scales, _SIGMA_RAD, "upright"))
+        found.append(start_of(primitive, R, R @ local, scales, STANDING_SIGMA_RAD, "upright"))
     return found

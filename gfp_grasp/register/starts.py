@@ -8,11 +8,10 @@ from functools import lru_cache
 import numpy as np
 
 from gfp_grasp.register.corners import corner_starts
-from gfp_grasp.register.state import PoseShape, start_of
+from gfp_grasp.register.state import STANDING_SIGMA_RAD, PoseShape, start_of
 from gfp_grasp.transforms import rotation_about, rotation_between
 from gfp_grasp.types import GenericPrimitive, LevelView, Proposal
 
-_STANDING_SIGMA_RAD = np.deg2rad(1.0)
 _LYING_SIGMA_RAD = np.deg2rad(15.0)
 _YAWS = 8  # of a body without symmetry
 _LEAST_SCALE = 0.01  # of a start: points may lie in a plane, or below what is taken for the floor
@@ -83,7 +82,7 @@ def _proposed(primitive: GenericPrimitive, evidence: LevelView, hypothesis: str,
     R = _frame(z, x) @ rotation_about((0, 0, 1), yaw)
     low, high = primitive.vertices.min(axis=0), primitive.vertices.max(axis=0)
     scale = np.maximum(box.extents / (high - low), _LEAST_SCALE)
-    sigma = _LYING_SIGMA_RAD if hypothesis == "lying" else _STANDING_SIGMA_RAD
+    sigma = _LYING_SIGMA_RAD if hypothesis == "lying" else STANDING_SIGMA_RAD
     state = start_of(primitive, R, np.zeros(3), scale, sigma, hypothesis)
     centre = box.T_world_box[:3, 3] - R @ (np.exp(state.log_scale) * (low + high) / 2)
     lowest = float((state.world(primitive.vertices) @ evidence.up).min())
@@ -186,7 +185,7 @@ def _standing(
         + box.deep * (box.near - wide * float(depth.max()))
         + box.axis * (low - long * float(along.min()))
     )
-    return start_of(primitive, R, centre, (wide, wide, long), _STANDING_SIGMA_RAD, hypothesis)
+    return start_of(primitive, R, centre, (wide, wide, long), STANDING_SIGMA_RAD, hypothesis)
 
 
 def _lying(primitive: GenericPrimitive, evidence: LevelView, box: _LyingBox, *, flat: bool = False) -> PoseShape:

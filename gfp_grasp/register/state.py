@@ -12,6 +12,8 @@ from numpy.typing import ArrayLike
 from gfp_grasp.meshes import triangle_normals
 from gfp_grasp.types import GenericPrimitive
 
+STANDING_SIGMA_RAD = np.deg2rad(1.0)  # how far the axis of what stands is off the support's normal
+
 
 @dataclass(frozen=True, eq=False)
 class SurfaceSamples:

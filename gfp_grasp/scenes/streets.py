@@ -143,7 +143,7 @@ def _placed(
         centre = np.array([rng.uniform(-_LONG_M, _LONG_M) * rng.uniform(0.2, 1.0), y])
         half = np.abs(R[:2, :2]) @ extents[:2] / 2 + _APART_M
         box = np.stack([centre - half, centre + half])
-        if any((box[0] < other[1]).all() and (other[0] < box[1]).all() for other in taken):
+        if not _is_free(box, taken):
             continue
         taken.append(box)
         T = make_T(R, np.array([*(centre - R[:2, :2] @ ahead), z - low[2]]))
@@ -152,6 +152,11 @@ def _placed(
         middle = np.array([*centre, z + extents[2] / 2])
         return StreetThing(category, placed, OrientedBox(make_T(R, middle), extents))
     return None
+
+
+def _is_free(box: np.ndarray, taken: list[np.ndarray]) -> bool:
+    """Whether a box (2, 2) m, its lower and upper corner, overlaps none of those that are taken."""
+    return not any((box[0] < other[1]).all() and (other[0] < box[1]).all() for other in taken)
 
 
 def _lane_of(
@@ -210,7 +215,7 @@ def _post(
     """A pole, a tree, a bush, or a sign or cone, where nothing else stands."""
     reach = np.full(2, 0.5)
     box = np.stack([np.array([x, y]) - reach, np.array([x, y]) + reach])
-    if any((box[0] < other[1]).all() and (other[0] < box[1]).all() for other in taken):
+    if not _is_free(box, taken):
         return []
     taken.append(box)
     kind = rng.random()

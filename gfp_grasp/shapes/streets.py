@@ -11,7 +11,7 @@ class InStreets:
     """How a class takes part in a street.
 
     Attributes:
-        share: Of all vehicles and people.
+        share: Share of all vehicles and people.
         places: Where it may be, each as likely: "parked" at a kerb, "moving" on a lane, or on the "pavement".
         crosses: Whether on the road it may face any way.
     """
