@@ -20,7 +20,7 @@ from gfp_grasp.errors import FitDiverged, InvalidOption, NoSurface
 from gfp_grasp.level import mark_observed
 from gfp_grasp.meshes import crossing_faces
 from gfp_grasp.misfit import misfit_of
-from gfp_grasp.openset import can_be_asked, evidence_of_fit, evidence_of_look, probability_by_look, probability_unknown
+from gfp_grasp.openset import evidence_of_fit, evidence_of_look, probability_by_look, probability_unknown
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.recognition import class_is_given, fit_likeliest
 from gfp_grasp.register import FitConfig, part_is_seen
@@ -103,7 +103,9 @@ def answer(view: LevelView, detection: Detection, config: CompleteConfig, clock:
         FitDiverged: No primitive could be fitted, where config says not to fall back.
     """
     doubts = []
-    asked = not class_is_given(detection) and config.unknown_above < 1 and can_be_asked(detection.sensor)
+    # The models of openset learnt from things on tables.
+    of_traffic = detection.sensor.of_traffic
+    asked = not class_is_given(detection) and config.unknown_above < 1 and not of_traffic
     look = evidence_of_look(detection, config.library) if asked else np.empty(0)
     unknown = probability_by_look(look) if asked else 0.0
     if not asked or unknown < config.unknown_above:
@@ -117,8 +119,7 @@ def answer(view: LevelView, detection: Detection, config: CompleteConfig, clock:
             if not asked and not config.fall_back:
                 return shape
             misfit = misfit_of(shape.mesh, view)
-            of_long_class = not can_be_asked(detection.sensor)
-            doubts += misfit.faults(of_long_class=of_long_class) if config.fall_back else []
+            doubts += misfit.faults(of_long_class=of_traffic) if config.fall_back else []
             if asked:
                 assert shape.fit is not None
                 unknown = probability_unknown(look, evidence_of_fit(shape.fit, misfit))

@@ -14,7 +14,6 @@ from gfp_grasp.arguments import checked_direction, checked_height, checked_place
 from gfp_grasp.clouds import order_points
 from gfp_grasp.completion import CompletedScene, Completion
 from gfp_grasp.detect import (
-    DETECTORS,
     DetectConfig,
     Detector,
     clean_cloud,
@@ -26,7 +25,7 @@ from gfp_grasp.detect import (
 from gfp_grasp.errors import FitDiverged, InvalidOption, InvalidView, UnknownCategory
 from gfp_grasp.level import level_frame, make_level_view, move_detection
 from gfp_grasp.parallel import one_thread
-from gfp_grasp.plugins import DEFAULT_DETECTOR
+from gfp_grasp.plugins import DEFAULT_DETECTOR, SCAN_DETECTOR
 from gfp_grasp.recognition import SURE_SCORE, class_is_given, likeliest, recognise, sureness
 from gfp_grasp.transforms import apply_T, invert_T
 from gfp_grasp.types import (
@@ -103,16 +102,17 @@ def complete_scene(
     image: DepthImage | RangeImage,
     *,
     up: ArrayLike | None = (0.0, 0.0, 1.0),
-    detector: str | Detector = DEFAULT_DETECTOR,
+    detector: str | Detector | None = None,
     config: CompleteConfig | None = None,
     seed: int = 0,
 ) -> CompletedScene:
     """Complete every object of a depth picture or of a LiDAR's scan, largest first.
 
     Args:
-        image: Depth, m, with intrinsics and pose; or a scan, whose detector is told (`gfp_grasp.detect.GivenBoxes`).
+        image: Depth, m, with intrinsics and pose; or a LiDAR's scan.
         up: (3,) normal of the support in the world frame; None estimates it.
-        detector: Name of a detector, see `gfp_grasp.detect.get_detector`, or a function like `detect_objects`.
+        detector: Name of a detector, see `gfp_grasp.detect.get_detector`, or a function like `detect_objects`; None
+            takes "votes" for a picture and "pointrcnn" for a scan. `gfp_grasp.detect.GivenBoxes` is one for a scan.
         config: Switches.
         seed: Sets every random choice.
 
@@ -123,22 +123,17 @@ def complete_scene(
     Raises:
         NothingDetected: No object stands out from the support.
         FitDiverged: No primitive fits any object.
-        InvalidView: Neither of these, a scan for a detector of pictures, or a camera so far from the origin that its
-            pose cannot be in metres.
+        InvalidView: Neither of these, a scan for a detector of pictures or the other way round, or a camera so far
+            from the origin that its pose cannot be in metres.
         UnknownDetector: No detector of that name.
         InvalidOption: The detector returned something else than detections.
     """
     _check_options(config, seed)
-    if isinstance(image, RangeImage):
-        if isinstance(detector, str) and detector in DETECTORS:
-            raise InvalidView(
-                f"detector {detector!r} looks at depth pictures, not at scans: give detector=GivenBoxes(boxes), or a "
-                "function of your own"
-            )
-    elif isinstance(image, DepthImage):
-        checked_pose(image.T_world_camera)
-    else:
+    if not isinstance(image, (DepthImage, RangeImage)):
         raise InvalidView(f"image is a {type(image).__name__}; a gfp_grasp.types.DepthImage or RangeImage is expected")
+    if isinstance(image, DepthImage):
+        checked_pose(image.T_world_camera)
+    detector = detector or (SCAN_DETECTOR if isinstance(image, RangeImage) else DEFAULT_DETECTOR)
     done, failure = [], None
     for detection in on_each_other(get_detector(detector)(image, up=checked_direction(up))):
         try:

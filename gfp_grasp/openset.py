@@ -18,7 +18,7 @@ from gfp_grasp.assets import data_file
 from gfp_grasp.misfit import Misfit
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.recognition import sureness
-from gfp_grasp.types import TABLETOP, Detection, FittedPrimitive, SensorProfile
+from gfp_grasp.types import Detection, FittedPrimitive
 
 _NEAREST = 0.005  # of distances from prototypes, below which they are not told apart
 _SURENESS = (0.02, 0.999)
@@ -80,11 +80,6 @@ def evidence_of_fit(fit: FittedPrimitive, misfit: Misfit) -> np.ndarray:
             float(fit.spread_m is not None),
         ]
     )
-
-
-def can_be_asked(sensor: SensorProfile) -> bool:
-    """Whether the models know views of such a sensor: they learnt from things on tables."""
-    return sensor.largest_m <= TABLETOP.largest_m
 
 
 @cache

@@ -19,6 +19,7 @@ from gfp_grasp.detect.road import Road, find_road
 from gfp_grasp.detect.single import detect_single
 from gfp_grasp.detect.stacking import on_each_other
 from gfp_grasp.detect.support import find_support, warn_of_a_plane_aside
+from gfp_grasp.detect.turned import inside, iou_from_above
 from gfp_grasp.detect.validate import clean_cloud, numbers_of
 
 if TYPE_CHECKING:
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
         shares_in,
     )
     from gfp_grasp.detect.instances import InstanceNet, Votes, gather_votes, instance_features, level_picture, vote
+    from gfp_grasp.detect.pointrcnn import find_boxes, thinned
     from gfp_grasp.detect.proposal import (
         NUM_CHANNELS,
         NUM_POINTS,
@@ -50,8 +52,21 @@ if TYPE_CHECKING:
         turned_cloud,
         with_surface,
     )
+    from gfp_grasp.detect.street_net import (
+        CELL_M,
+        StreetNet,
+        box_loss,
+        boxes_of,
+        picture_from_above,
+        places_in,
+        point_features,
+        pool,
+        refined_boxes,
+        refined_loss,
+    )
 
 __all__ = [
+    "CELL_M",
     "DETECTORS",
     "NUM_CHANNELS",
     "NUM_POINTS",
@@ -66,7 +81,10 @@ __all__ = [
     "ProposalNet",
     "Prototypes",
     "Road",
+    "StreetNet",
     "Votes",
+    "box_loss",
+    "boxes_of",
     "class_scores",
     "classify",
     "clean_cloud",
@@ -75,11 +93,14 @@ __all__ = [
     "distance_in",
     "estimate_sigma",
     "features",
+    "find_boxes",
     "find_road",
     "find_support",
     "gather_votes",
     "get_detector",
+    "inside",
     "instance_features",
+    "iou_from_above",
     "label_picture",
     "label_points",
     "level_picture",
@@ -89,12 +110,19 @@ __all__ = [
     "mixture",
     "numbers_of",
     "on_each_other",
+    "picture_from_above",
+    "places_in",
+    "point_features",
+    "pool",
+    "refined_boxes",
+    "refined_loss",
     "sample_points",
     "score_table",
     "scores_in",
     "seen_frame",
     "shares_in",
     "size_of",
+    "thinned",
     "turned_cloud",
     "upright_box",
     "vote",
@@ -116,6 +144,14 @@ _WITH_TORCH = {
             "look_at_clouds", "sample_points", "seen_frame", "size_of", "turned_cloud", "with_surface",
         ),
         "proposal",
+    ),
+    **dict.fromkeys(("find_boxes", "thinned"), "pointrcnn"),
+    **dict.fromkeys(
+        (
+            "CELL_M", "StreetNet", "box_loss", "boxes_of", "picture_from_above", "places_in", "point_features", "pool",
+            "refined_boxes", "refined_loss",
+        ),
+        "street_net",
     ),
     **dict.fromkeys(
         ("InstanceNet", "Votes", "gather_votes", "instance_features", "level_picture", "vote"), "instances"

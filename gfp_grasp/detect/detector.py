@@ -16,11 +16,21 @@ from gfp_grasp.detect.merging import upright_box
 from gfp_grasp.detect.refusal import no_table
 from gfp_grasp.detect.support import find_support
 from gfp_grasp.detect.tables import find_table, keep_on_table
-from gfp_grasp.errors import InvalidOption, NothingDetected, UnknownDetector
+from gfp_grasp.errors import InvalidOption, InvalidView, NothingDetected, UnknownDetector
 from gfp_grasp.parallel import one_thread
 from gfp_grasp.plugins import imported_function
 from gfp_grasp.primitives import PrimitiveLibrary
-from gfp_grasp.types import TABLETOP, DepthImage, Detection, PointCloud, Proposal, SensorProfile, SupportPlane, View
+from gfp_grasp.types import (
+    TABLETOP,
+    DepthImage,
+    Detection,
+    PointCloud,
+    Proposal,
+    RangeImage,
+    SensorProfile,
+    SupportPlane,
+    View,
+)
 
 UP = np.array([0.0, 0.0, 1.0])
 
@@ -64,8 +74,14 @@ def detect_objects(
         config: Switches.
 
     Raises:
+        InvalidView: A LiDAR's scan.
         NothingDetected: No support plane, or nothing on it.
     """
+    if isinstance(image, RangeImage):
+        raise InvalidView(
+            "this detector looks at depth pictures, not at scans: detector 'pointrcnn' finds what is in a scan, and "
+            "GivenBoxes(boxes) takes boxes of yours"
+        )
     if isinstance(image, DepthImage):
         return _detect_in_picture(image, up, config)
     return _detect_in_points(image, up, config)
@@ -224,10 +240,17 @@ class Detector(Protocol):
     def __call__(self, image: Any, *, up: np.ndarray | None) -> Sequence[Detection]: ...
 
 
+def _detect_traffic(image: RangeImage, *, up: np.ndarray | None) -> Sequence[Detection]:
+    from gfp_grasp.detect.pointrcnn import detect_traffic  # torch, only where it is asked for
+
+    return detect_traffic(image, up=up)
+
+
 # Classes are named when a detection is completed, by the library of the completion.
 DETECTORS: Mapping[str, Detector] = {
     "tabletop": partial(detect_objects, config=DetectConfig(classify=False)),
     "votes": partial(detect_objects, config=DetectConfig(classify=False, votes=True)),
+    "pointrcnn": _detect_traffic,
 }
 
 
@@ -235,8 +258,9 @@ def get_detector(name: str | Detector) -> Detector:
     """A detector by name, or a function of the user's own, whose answers are checked.
 
     Args:
-        name: `tabletop` (`detect_objects`: what stands on a support plane, told apart by steps and creases), `votes`
-            (told apart by a network), or `package.module:function`, a function like them, or such a function itself.
+        name: For pictures `tabletop` (`detect_objects`: what stands on a support plane, told apart by steps and
+            creases) or `votes` (told apart by a network), for scans of a LiDAR `pointrcnn`; or
+            `package.module:function`, a function like them, or such a function itself.
             `make_detection` makes a detection of an object's points; its class is named when it is completed.
 
     Raises:

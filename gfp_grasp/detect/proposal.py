@@ -28,7 +28,6 @@ NUM_FEATURES = 12
 NUM_CHANNELS = 64
 _SCALE_M = 0.1  # the size of things at which the logarithm of size is zero
 _NEIGHBOURS = 24
-_TRAFFIC_M = 5.0  # a sensor that is pointed at larger things looks at traffic
 PROTOTYPES = "prototypes."  # begins the names of tensors of a weights file that are prototypes of a class
 _YAWS = 4  # where nobody knows the viewpoint, the answer is a mean over turns about up
 _LEAST_FRONT = 1e-3
@@ -233,7 +232,7 @@ def _rotation(up: np.ndarray, front: np.ndarray) -> np.ndarray:
 
 def weights_of(sensor: SensorProfile) -> str:
     """Name of the shipped weights that look at what a sensor saw: pictures of table tops, or scans of traffic."""
-    return "proposal" if sensor.largest_m < _TRAFFIC_M else "proposal_lidar"
+    return "proposal_lidar" if sensor.of_traffic else "proposal"
 
 
 @cache

@@ -12,7 +12,8 @@ class InStreets:
 
     Attributes:
         share: Share of all vehicles and people.
-        places: Where it may be, each as likely: "parked" at a kerb, "moving" on a lane, or on the "pavement".
+        places: Where it may be, each as likely: "parked" at a kerb, "moving" on a lane, on the "pavement", or in a
+            "yard" behind it.
         crosses: Whether on the road it may face any way.
     """
 
@@ -22,11 +23,11 @@ class InStreets:
 
 
 IN_STREETS: Mapping[str, InStreets] = {
-    "car": InStreets(0.50, ("parked", "moving")),
-    "van": InStreets(0.10, ("parked", "moving")),
-    "truck": InStreets(0.05, ("parked", "moving")),
-    "bus": InStreets(0.03, ("moving",)),
-    "pedestrian": InStreets(0.16, ("pavement", "pavement", "moving"), crosses=True),
+    "car": InStreets(0.50, ("parked", "moving", "yard")),
+    "van": InStreets(0.10, ("parked", "moving", "yard")),
+    "truck": InStreets(0.06, ("parked", "moving", "yard")),
+    "bus": InStreets(0.04, ("parked", "moving")),
+    "pedestrian": InStreets(0.16, ("pavement", "pavement", "moving", "yard"), crosses=True),
     "cyclist": InStreets(0.08, ("moving",)),
     "motorcycle": InStreets(0.04, ("moving", "pavement")),
     "bicycle": InStreets(0.04, ("pavement",)),

@@ -15,6 +15,7 @@ from gfp_grasp.train.primitives import (
 )
 from gfp_grasp.train.proposal_data import CACHE, Example, above_table, assorted_examples, class_examples
 from gfp_grasp.train.rests import rest_rotation
+from gfp_grasp.train.street_data import StreetScan, read_street, render_street, street_of_kitti
 from gfp_grasp.train.views import View, ViewsConfig, across_edge, render_views, shape_source
 
 if TYPE_CHECKING:
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from gfp_grasp.train.loop import Batch, LoopConfig, shuffled, train
     from gfp_grasp.train.openset import SIGHTS, OpenSetConfig, OpenSetRow, openset_rows, train_openset
     from gfp_grasp.train.pcrnet import PCRNET_CONFIG, train_pcrnet
+    from gfp_grasp.train.pointrcnn import PointRCNNConfig, measure_pointrcnn, train_pointrcnn
     from gfp_grasp.train.proposal import train_proposal
     from gfp_grasp.train.proposal_batches import LIDAR_CONFIG, ProposalConfig
     from gfp_grasp.train.prototypes import make_prototypes, with_prototypes
@@ -42,7 +44,9 @@ __all__ = [
     "LoopConfig",
     "OpenSetConfig",
     "OpenSetRow",
+    "PointRCNNConfig",
     "ProposalConfig",
+    "StreetScan",
     "Thing",
     "View",
     "ViewsConfig",
@@ -56,15 +60,19 @@ __all__ = [
     "draw_things",
     "make_prototypes",
     "measure_against_hull",
+    "measure_pointrcnn",
     "openset_rows",
     "paper_loss",
     "patches_of_split",
     "procedural_members",
+    "read_street",
+    "render_street",
     "render_views",
     "rest_rotation",
     "shape_source",
     "shipped_names",
     "shuffled",
+    "street_of_kitti",
     "summarise_against_hull",
     "train",
     "train_classfree",
@@ -72,6 +80,7 @@ __all__ = [
     "train_instances",
     "train_openset",
     "train_pcrnet",
+    "train_pointrcnn",
     "train_proposal",
     "with_prototypes",
     "with_spec",
@@ -88,6 +97,7 @@ _WITH_TORCH = {
     **dict.fromkeys(("Batch", "LoopConfig", "shuffled", "train"), "loop"),
     **dict.fromkeys(("SIGHTS", "OpenSetConfig", "OpenSetRow", "openset_rows", "train_openset"), "openset"),
     **dict.fromkeys(("PCRNET_CONFIG", "train_pcrnet"), "pcrnet"),
+    **dict.fromkeys(("PointRCNNConfig", "measure_pointrcnn", "train_pointrcnn"), "pointrcnn"),
     **dict.fromkeys(("make_prototypes", "with_prototypes"), "prototypes"),
 }
 

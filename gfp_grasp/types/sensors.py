@@ -8,6 +8,8 @@ import numpy as np
 
 from gfp_grasp.errors import InvalidOption
 
+_TRAFFIC_M = 5.0  # what is pointed at larger things looks at traffic
+
 
 @dataclass(frozen=True)
 class SensorProfile:
@@ -45,6 +47,11 @@ class SensorProfile:
     def floor_m(self) -> float:
         """What is nearer to the support is left out of a look, in training as in use: noise hides it, m."""
         return 4 * self.sigma_m
+
+    @property
+    def of_traffic(self) -> bool:
+        """Whether it looks at vehicles and people, not at things on tables: two kinds of look have been learnt."""
+        return self.largest_m > _TRAFFIC_M
 
     @property
     def sigma_range_m(self) -> tuple[float, float]:
