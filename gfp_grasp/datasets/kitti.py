@@ -141,8 +141,8 @@ def read_bin(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
         raise UnreadableFile(f"{expected}; {five}")
     if (values[:, 3] < -1).mean() > _ODD_ROWS or (np.abs(values) > _HUGE).mean() > _ODD_VALUES:
         raise UnreadableFile(
-            f"{expected}; its values make no sense as these, up to {np.nanmax(np.abs(values)):.3g} with intensities from "
-            f"{np.nanmin(values[:, 3]):.3g}: are its numbers doubles, or more or fewer than four a point?"
+            f"{expected}; its values make no sense as these, up to {np.nanmax(np.abs(values)):.3g} with intensities "
+            f"from {np.nanmin(values[:, 3]):.3g}: are its numbers doubles, or more or fewer than four a point?"
         )
     return values[:, :3], values[:, 3]
 
