@@ -100,6 +100,15 @@ def test_rows_of_nothing_are_dropped_wherever_the_sensor_stands(points: np.ndarr
     np.testing.assert_array_equal(found.range_m, alone.range_m)
 
 
+@pytest.mark.filterwarnings("error::RuntimeWarning")
+def test_strays_out_of_reach_are_dropped_and_counted(points: np.ndarray) -> None:
+    strays = np.array([[0.0, 301.0, 0.0], [1e300, 0.0, 0.0]])
+    with pytest.warns(UserWarning, match="2 points are more than 300 m from the sensor; dropped"):
+        found, _ = scan_of(np.concatenate([points, strays]), viewpoint=None, up=UP, sensor=LIDAR)
+    alone, _ = scan_of(points, viewpoint=None, up=UP, sensor=LIDAR)
+    np.testing.assert_array_equal(found.range_m, alone.range_m)
+
+
 def test_a_scan_cut_to_a_cameras_field_of_view_stands_as_the_whole_one(points: np.ndarray) -> None:
     ahead = points[(np.abs(points[:, 1]) < 0.8 * points[:, 0])]
     found, up = scan_of(ahead, viewpoint=None, up=None, sensor=LIDAR)
@@ -134,8 +143,10 @@ def test_points_outside_of_the_rings_are_left_out_with_a_word(points: np.ndarray
         (lambda p: 1000 * p, InvalidCloud, r"across and metres are expected: .*in millimetres .*divide by 1000"),
         (lambda p: p - (0, 0, 5.0), InvalidView, r"no axis .* a road 1 to 3 m under the sensor .*give viewpoint"),
         (lambda p: p[:: len(p) // 10], TooFewPoints, r"1\d points, .* 30 are needed"),
-        (lambda p: np.full_like(p, np.nan), TooFewPoints, r"and 0 that are finite"),
-        (lambda p: np.zeros_like(p), TooFewPoints, r"and 0 that are finite"),
+        (lambda p: p + 1e6, TooFewPoints, r"and 0 that are .* within 300 m .* is the viewpoint the sensor's place"),
+        (lambda p: 1e200 * p, InvalidCloud, r"no common unit"),
+        (lambda p: np.full_like(p, np.nan), TooFewPoints, r"and 0 that are finite, not zero"),
+        (lambda p: np.zeros_like(p), TooFewPoints, r"and 0 that are finite, not zero"),
         (lambda p: np.random.default_rng(0).uniform(-60, 60, p.shape), InvalidView, "no axis"),
     ],
 )
@@ -150,7 +161,15 @@ def test_what_is_no_scan_of_a_street_in_metres_is_refused_within_two_seconds(
 
 def test_a_place_from_which_no_ring_meets_a_point_is_refused(points: np.ndarray) -> None:
     with pytest.raises(InvalidView, match="no point lies on the rings"):
-        scan_of(points, viewpoint=np.array([0.0, 0.0, 900.0]), up=UP, sensor=LIDAR)
+        scan_of(points, viewpoint=np.array([0.0, 0.0, 250.0]), up=UP, sensor=LIDAR)
+
+
+@pytest.mark.parametrize("turn_deg", [0, 33, 45, 120])
+def test_how_wide_a_cloud_is_does_not_depend_on_its_axes(turn_deg: float) -> None:
+    narrow = np.random.default_rng(0).uniform((0, -2, -1.7), (26.5, 2, 2), (4000, 3))
+    turned = narrow @ rotation_about((1, 2, 3), np.deg2rad(turn_deg)).T
+    assert is_scan(turned, LIDAR)
+    assert not is_scan(0.95 * turned, LIDAR)
 
 
 def test_a_lidars_cloud_wider_than_any_object_is_a_scan(points: np.ndarray) -> None:

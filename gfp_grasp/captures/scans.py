@@ -40,9 +40,9 @@ def scan_of(
 ) -> tuple[RangeImage, np.ndarray]:
     """The view of a whole scan that is a list of points, in the frame that the points are in.
 
-    Rows that are not finite, or zero as scanners write them where nothing came back, are dropped. Where up is not
-    given it is the axis of the frame, up or down, below which a road lies 1 to 3 m under the sensor with nearly nothing
-    under it; a warning names any other axis than z.
+    Rows that are not finite, zero as scanners write them where nothing came back, or out of reach are dropped. Where up
+    is not given it is the axis of the frame, up or down, below which a road lies 1 to 3 m under the sensor with nearly
+    nothing under it; a warning names any other axis than z.
 
     Args:
         points: (n, 3) m.
@@ -54,20 +54,21 @@ def scan_of(
         The view, and up (3,).
 
     Raises:
-        TooFewPoints: Fewer than 30 returns.
+        TooFewPoints: Fewer than 30 returns within the sensor's reach.
         InvalidCloud: A width that cannot be metres; viewpoint or up is no place or direction.
         InvalidView: No axis has a road under it, and up is not given.
     """
     place, direction = checked_place(viewpoint), checked_direction(up)
     place = np.zeros(3) if place is None else place
     returns = _returns(points)
-    returns = returns[np.linalg.norm(returns - place, axis=1) > 0]
+    _refuse_wrong_unit(_width_m(returns), sensor)
+    returns = _within_reach(returns, place, sensor)
     if len(returns) < _FEWEST:
         raise TooFewPoints(
-            f"the scan has {len(points)} points, and {len(returns)} that are finite and not zero; {_FEWEST} are "
-            "needed: is the file whole?"
+            f"the scan has {len(points)} points, and {len(returns)} that are finite, not zero and within "
+            f"{sensor.scene_m:g} m of the sensor at {np.round(place, 3).tolist()}; {_FEWEST} are needed: is the file "
+            "whole, and is the viewpoint the sensor's place?"
         )
-    _refuse_wrong_unit(_width_m(returns), sensor)
     z = _upright_axis(returns, place) if direction is None else _axis_along(direction)
     image = range_image(returns, T_world_sensor=_pose(z, place))
     seen = len(pixels_of(returns, image)[0])
@@ -86,11 +87,26 @@ def _returns(points: np.ndarray) -> np.ndarray:
     return points[np.isfinite(points).all(axis=1) & points.any(axis=1)]
 
 
+def _within_reach(returns: np.ndarray, place: np.ndarray, sensor: SensorProfile) -> np.ndarray:
+    away_m = np.abs(returns - place).max(axis=1)  # no square overflows
+    far = away_m > sensor.scene_m
+    if 0 < far.sum() < len(far):
+        warnings.warn(f"{far.sum()} points are more than {sensor.scene_m:g} m from the sensor; dropped", stacklevel=4)
+    return returns[(away_m > 0) & ~far]
+
+
 def _width_m(returns: np.ndarray) -> float:
+    """Extent along the direction in which the points spread most, whatever the axes of their frame."""
     if not len(returns):
         return 0.0
-    low, high = np.percentile(returns, _STRAYS, axis=0)
-    return float((high - low).max())
+    sample = returns[:: -(-len(returns) // _SAMPLE)]
+    middle = np.median(sample, axis=0)
+    length = np.abs(sample - middle).max()
+    if not 0 < length < np.inf:
+        return float(length)
+    local = (sample - middle) / length  # no square overflows
+    along = local @ np.linalg.eigh(local.T @ local)[1][:, -1]
+    return float(length * np.ptp(np.percentile(along, _STRAYS)))
 
 
 def _refuse_wrong_unit(width_m: float, sensor: SensorProfile) -> None:
@@ -116,7 +132,8 @@ def _upright_axis(returns: np.ndarray, place: np.ndarray) -> np.ndarray:
     if shares[best] < _LEAST_ON:
         raise InvalidView(
             f"no axis of the scan's frame has a road {_HEIGHT_M[0]:g} to {_HEIGHT_M[1]:g} m under the sensor at "
-            f"{np.round(place, 3).tolist()}: give viewpoint, where the sensor stood, and up, the road's normal"
+            f"{np.round(place, 3).tolist()}: give viewpoint, where the sensor stood, in metres, and up, the road's "
+            "normal"
         )
     if best:
         warnings.warn(
