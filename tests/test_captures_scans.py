@@ -1,5 +1,6 @@
 """Whole LiDAR scans as recordings: which clouds are scans, how they stand, and what is refused."""
 
+import re
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -236,6 +237,39 @@ def test_the_same_scan_comes_out_of_every_format(tmp_path: Path, suffix: str, po
     assert capture.points is not None
     np.testing.assert_allclose(capture.points, points, atol=1e-5)
     assert is_scan(capture.points, LIDAR)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda rows: b"", "scan.bin has 0 bytes"),
+        (lambda rows: rows.tobytes()[:-3], "it is cut short, or its points hold more or fewer numbers"),
+        (lambda rows: np.column_stack([rows, np.arange(len(rows)) % 32]).astype("<f4").tobytes(), "nuScenes"),
+        (lambda rows: rows.astype("<f8").tobytes(), "make no sense as these"),
+        (lambda rows: (1000 * rows).tobytes(), "InvalidCloud: .*divide by 1000"),
+        (lambda rows: rows[:10].tobytes(), "TooFewPoints"),
+        (lambda rows: (0 * rows).tobytes(), "InvalidCloud: all points of the cloud are the same point"),
+        (lambda rows: rows[rows[:, 2] < -1.6].tobytes(), "NothingDetected"),
+    ],
+)
+def test_the_command_refuses_a_broken_scan_in_one_line(
+    change: Callable[[np.ndarray], bytes],
+    words: str,
+    points: np.ndarray,
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    rows = np.column_stack([points, np.full(len(points), 0.5)]).astype("<f4")
+    (tmp_path / "scan.bin").write_bytes(change(rows))
+    started = time.perf_counter()
+    street = words == "NothingDetected"  # is looked at as a whole; the others are refused before
+    detector = " --detector test_captures_scans:car_of" if street else ""
+    assert run(f"complete {tmp_path / 'scan.bin'} --sensor lidar{detector} -o", tmp_path / "a.glb") == 2
+    assert time.perf_counter() - started < 2.0
+    told = capsys.readouterr().err
+    assert re.search(words, told), told
+    assert told.count("\n") == 1
+    assert not (tmp_path / "a.glb").exists()
 
 
 def test_the_command_completes_a_real_scan_with_z_down_into_one_scene(
