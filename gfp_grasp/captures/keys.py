@@ -40,7 +40,7 @@ def _capture(name: str, arrays: Mapping[str, np.ndarray]) -> Capture:
     view = _view(arrays, T)
     points = None
     if "points" in arrays:
-        points = _points(name, "points", arrays["points"])
+        points = _points(name, "points", arrays["points"], columns=(3, 4))
     elif "object_points_cam" in arrays:
         points = apply_T(T, _points(name, "object_points_cam", arrays["object_points_cam"]))
     mask = arrays.get("mask")
@@ -109,17 +109,19 @@ def _truth(arrays: Mapping[str, np.ndarray], T: np.ndarray) -> trimesh.Trimesh |
     return trimesh.Trimesh(apply_T(T, arrays["mesh_vertices_cam"]), arrays["mesh_faces"].astype(int), process=False)
 
 
-def _points(name: str, key: str, array: np.ndarray) -> np.ndarray:
-    if array.ndim != 2 or array.shape[1] != 3 or array.dtype.kind not in "fiu":
+def _points(name: str, key: str, array: np.ndarray, *, columns: tuple[int, ...] = (3,)) -> np.ndarray:
+    """Points (n, 3) m; what the columns behind the third hold is left out."""
+    if array.ndim != 2 or array.shape[1] not in columns or array.dtype.kind not in "fiu":
         picture = (
             "; a depth picture goes by read_depth, --depth with --intrinsics"
             if min(array.shape, default=0) > _PICTURE_PX
             else ""
         )
         raise InvalidCloud(
-            f"{name}: {key} has shape {array.shape} of {array.dtype}; (n, 3) numbers in metres are expected{picture}"
+            f"{name}: {key} has shape {array.shape} of {array.dtype}; (n, {' or '.join(map(str, columns))}) numbers in "
+            f"metres are expected{picture}"
         )
-    return array.astype(np.float64)
+    return array[:, :3].astype(np.float64)
 
 
 def _vector(name: str, key: str, arrays: Mapping[str, np.ndarray]) -> np.ndarray:

@@ -25,7 +25,7 @@ from gfp_grasp.transforms import apply_T, invert_T
 _T = TypeVar("_T")
 
 SAMPLE, SAMPLE_FILE = "sample", "quickstart.npz"
-SUFFIXES = (".npz", ".npy", ".ply", ".pcd", ".xyz", ".pts", ".txt", ".csv", ".obj")
+SUFFIXES = (".npz", ".npy", ".bin", ".ply", ".pcd", ".xyz", ".pts", ".txt", ".csv", ".obj")
 
 
 def read_capture(path: str | Path) -> Capture:
@@ -38,7 +38,7 @@ def read_capture(path: str | Path) -> Capture:
     | `depth_m`, `K` | (h, w), (3, 3) | depth picture, 0 or NaN where nothing came back, and its intrinsics in pixels |
     | `points_cam` | (h, w, 3) | organised points in the camera frame, NaN where nothing came back; K is fitted |
     | `object_points_cam` | (n, 3) | points of one object in the camera frame |
-    | `points` | (n, 3) | points of one object in the world frame |
+    | `points` | (n, 3 or 4) | points of one object, or of a whole LiDAR scan, in the world frame |
 
     and may add `mask` (h, w), true on the one object to complete; `T_world_camera` (4, 4), without which the camera's
     frame is the world and up is estimated; `viewpoint` (3,), `up` (3,) and `support_height` () in the world frame;
@@ -46,10 +46,10 @@ def read_capture(path: str | Path) -> Capture:
     against. `points_cam` in OpenGL's frame (y up, z backward) or a ROS body's (x forward, z up) are told by where they
     lie.
 
-    Every other file is a plain cloud in a frame of its own whose z is taken to be up: .npy of shape (n, 3) (or
-    (h, w, 3), taken as `points_cam`), .ply, .pcd, .obj (its vertices), and .xyz, .pts, .txt, .csv: x y z by the names
-    of their columns, or else the first three. A .pcd with more than one row is organised, and its VIEWPOINT is where
-    the camera stood.
+    Every other file is a plain cloud in a frame of its own whose z is taken to be up: .npy of shape (n, 3 or 4) (or
+    (h, w, 3), taken as `points_cam`), .bin (KITTI's, float32 x y z intensity), .ply, .pcd, .obj (its vertices), and
+    .xyz, .pts, .txt, .csv: x y z by the names of their columns, or else the first three. A .pcd with more than one row
+    is organised, and its VIEWPOINT is where the camera stood. A fourth column of points is an intensity, and left out.
 
     Args:
         path: One of SUFFIXES; or "sample", the capture that ships with the package.
@@ -71,6 +71,10 @@ def read_capture(path: str | Path) -> Capture:
             else ""
         )
         raise UnreadableFile(f"{path.name}: suffix {path.suffix!r} is not among {', '.join(SUFFIXES)}{pictures}")
+    if suffix == ".bin":
+        from gfp_grasp.datasets import read_bin  # brings the simulator, only where it is needed
+
+        return capture_of_keys(path.name, {"points": read_bin(path)[0]})
     content = read_content(path)
     if suffix == ".npz":
         return capture_of_keys(path.name, _arrays(path.name, content))

@@ -36,7 +36,10 @@ def complete(
     ],
     cloud: Annotated[
         Path | None,
-        typer.Argument(help="Cloud or .npz capture, metres; sample is one that ships; left out with --depth."),
+        typer.Argument(
+            help="Cloud, LiDAR scan (.bin, .pcd, .npz ...) or .npz capture, metres; sample is one that ships; left out "
+            "with --depth."
+        ),
     ] = None,
     depth: Annotated[Path | None, typer.Option(help="Instead: depth picture, 16-bit .png or .tif, or .npy.")] = None,
     intrinsics: Annotated[
@@ -46,16 +49,23 @@ def complete(
         float | None,
         typer.Option(help="Its unit in metres, or units to a metre: 0.001 or 1000; left out, millimetres."),
     ] = None,
-    viewpoint: Annotated[str | None, typer.Option(help="Where the camera stood, x,y,z in metres.")] = None,
+    viewpoint: Annotated[str | None, typer.Option(help="Where the sensor stood, x,y,z in metres.")] = None,
     up: Annotated[str | None, typer.Option(help="Normal of the support, x,y,z, or auto; z if left out.")] = None,
     support_height: Annotated[float | None, typer.Option(help="Height of the support along up, metres.")] = None,
     category: Annotated[str | None, typer.Option(help="Class of the object; left out, it is found.")] = None,
     folders: Gps = None,
     detector: Annotated[
         str | None,
-        typer.Option(help="What finds objects in the whole picture: votes, tabletop, or your own module:function."),
+        typer.Option(
+            help="What finds objects in the whole picture (votes, tabletop) or scan, or your own module:function."
+        ),
     ] = None,
-    sensor: Annotated[str, typer.Option(help="What saw the cloud: tabletop (a depth camera) or lidar.")] = "tabletop",
+    sensor: Annotated[
+        str,
+        typer.Option(
+            help="What saw the cloud: tabletop (a depth camera) or lidar, whose cloud wider than 25 m is a whole scan."
+        ),
+    ] = "tabletop",
     each: Annotated[bool, typer.Option("--each", help="Write several objects into files of their own.")] = False,
     files: Files = False,
     bare: Annotated[bool, typer.Option("--bare", help="MJCF without contact parameters of the parts.")] = False,
@@ -66,7 +76,7 @@ def complete(
     ] = None,
     seed: Seed = 0,
 ) -> None:
-    """Complete the object of a cloud, or every object of a depth picture: the objects of a picture are one scene."""
+    """Complete the object of a cloud, or every object of a depth picture or a LiDAR scan, which are one scene."""
     from gfp_grasp.captures import complete_capture
     from gfp_grasp.collision import CollisionConfig
     from gfp_grasp.complete import CompleteConfig
@@ -83,7 +93,7 @@ def complete(
     if viewpoint is not None:
         given["viewpoint"] = np.array(vector(viewpoint, "viewpoint"))
     if up is not None:
-        given["up"] = None if up == "auto" else np.array(vector(up, "up"))
+        given |= {"up": None if up == "auto" else np.array(vector(up, "up")), "up_is_assumed": False}
     if support_height is not None:
         given["support_height"] = support_height
     with warnings_as_notes():
@@ -144,8 +154,16 @@ def _up_note(capture: "Capture", given: str | None, completions: Sequence["Compl
     if given == "auto" or (given is None and capture.up is None):
         how = "a guess" if detection.support is None else "the normal of the plane that it stands on"
         yield f"up is estimated to be {direction(detection.up)}, {how}; --up x,y,z gives it"
-    elif given is None and capture.up_is_assumed:
+    elif given is None and capture.up_is_assumed and not _is_scan(completions):
         yield "up is taken to be z, (0, 0, 1), of the recording's frame; --up auto estimates it, --up x,y,z gives it"
+
+
+def _is_scan(completions: Sequence["Completion"]) -> bool:
+    """Whether they are the scene of a scan, whose up is found where nobody states it."""
+    from gfp_grasp.completion import CompletedScene
+    from gfp_grasp.types import RangeImage
+
+    return isinstance(completions, CompletedScene) and isinstance(completions.view, RangeImage)
 
 
 def _notes(completions: Sequence["Completion"], names: Sequence[str]) -> Iterator[str]:

@@ -13,11 +13,14 @@ from typing import Any
 import numpy as np
 
 from gfp_grasp.errors import InvalidOption, UnreadableFile
+from gfp_grasp.meshes import read_content
 from gfp_grasp.transforms import apply_T, invert_T, make_T, rotation_about
 
 ROAD_M = 0.1  # the lowest points of a box are of the road up to this
 _GROWN_M = 0.3  # by which the box of a thing of a track is grown
 _VALUES = 4  # of a point in a .bin: x, y, z, intensity
+# Shares of a .bin's rows and values that tell another layout: coordinates in place of intensities, and no lengths.
+_ODD_ROWS, _ODD_VALUES, _HUGE = 0.05, 0.01, 1e7
 # What KITTI calls the things that there are primitives of.
 CLASSES = {
     "car": "car",
@@ -119,19 +122,37 @@ def read_bin(path: str | Path) -> tuple[np.ndarray, np.ndarray]:
     """Points (n, 3) m and intensities (n,) of a KITTI .bin: float32, four a point.
 
     Raises:
-        UnreadableFile: No such file, or its size is not that of whole points.
+        UnreadableFile: No such file, empty, cut within a point, or of another layout, as far as its size and values
+            tell: five numbers a point as nuScenes has them, doubles, three or six numbers a point.
     """
     path = Path(path)
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise UnreadableFile(f"{path.name} cannot be read: {error.strerror or error}") from error
+    content = read_content(path)
+    expected = f"{path.name} has {len(content)} bytes; a KITTI scan has 16 a point, float32 x, y, z, intensity"
+    five = (
+        "it reads as five a point, nuScenes' x, y, z, intensity, ring: save numpy.fromfile(path, '<f4')"
+        ".reshape(-1, 5)[:, :4] as .npy"
+    )
     if len(content) % (4 * _VALUES):
+        other = five if len(content) % 20 == 0 else "it is cut short, or its points hold more or fewer numbers"
+        raise UnreadableFile(f"{expected}; {other}")
+    with np.errstate(invalid="ignore"):  # another layout's bits may be signalling NaN
+        values = np.frombuffer(content, dtype="<f4").reshape(-1, _VALUES).astype(np.float64)
+    if (values[:, 3] < -1).mean() > _ODD_ROWS and _are_rings(content):
+        raise UnreadableFile(f"{expected}; {five}")
+    if (values[:, 3] < -1).mean() > _ODD_ROWS or (np.abs(values) > _HUGE).mean() > _ODD_VALUES:
         raise UnreadableFile(
-            f"{path.name} has {len(content)} bytes; a KITTI scan has 16 a point, float32 x, y, z, intensity"
+            f"{expected}; its values make no sense as these, up to {np.nanmax(np.abs(values)):.3g} with intensities "
+            f"from {np.nanmin(values[:, 3]):.3g}: are its numbers doubles, or more or fewer than four a point?"
         )
-    values = np.frombuffer(content, dtype="<f4").reshape(-1, _VALUES).astype(np.float64)
     return values[:, :3], values[:, 3]
+
+
+def _are_rings(content: bytes) -> bool:
+    """Whether every fifth number is a whole one, as the number of a ring is."""
+    if len(content) % 20:
+        return False
+    fifth = np.frombuffer(content, dtype="<f4").reshape(-1, 5)[:, 4]
+    return bool(np.isin(fifth, np.arange(256)).all())
 
 
 def accumulated(views: Sequence[tuple[np.ndarray, TrafficBox]], middle: int, *, reach: int = 10) -> np.ndarray:
