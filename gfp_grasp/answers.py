@@ -119,7 +119,7 @@ def answer(view: LevelView, detection: Detection, config: CompleteConfig, clock:
             if not asked and not config.fall_back:
                 return shape
             misfit = misfit_of(shape.mesh, view)
-            doubts += misfit.faults(of_long_class=of_traffic) if config.fall_back else []
+            doubts += misfit.faults(of_traffic=of_traffic) if config.fall_back else []
             if asked:
                 assert shape.fit is not None
                 unknown = probability_unknown(look, evidence_of_fit(shape.fit, misfit))

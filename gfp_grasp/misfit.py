@@ -38,20 +38,21 @@ class Misfit:
     in_free_space: float
     beyond: float
 
-    def faults(self, *, of_long_class: bool = False) -> list[str]:
+    def faults(self, *, of_traffic: bool = False) -> list[str]:
         """Why the surface cannot be right; nothing where it may be.
 
         Args:
-            of_long_class: Things of its class are long, as lorries are: of one that is seen from an end most is unseen.
+            of_traffic: It is a vehicle or a person. A lorry that is seen from an end goes on for many times what is
+                seen, and its cab is of many forms; a poor lorry is still nearer to it than an answer of no class.
         """
         faults = []
         if self.off_points > _OFF_POINTS:
             faults.append(f"its surface is {self.off_points:.0%} of the object's length away from what was seen of it")
-        if self.away > _MOST_AWAY:
+        if self.away > _MOST_AWAY and not of_traffic:
             faults.append(f"{self.away:.0%} of what was seen of the object is far from its surface")
         if self.in_free_space > _IN_FREE_SPACE:
             faults.append(f"{self.in_free_space:.0%} of it lies where nothing was seen to be")
-        if self.beyond > _BEYOND and not of_long_class:
+        if self.beyond > _BEYOND and not of_traffic:
             faults.append(f"it reaches {self.beyond:.1f} lengths beyond what was seen")
         return faults
 

@@ -71,7 +71,7 @@ def test_boxes_elsewhere_and_pictures_are_refused(scan):
     picture = DepthImage(np.ones((4, 4)), np.eye(3), np.eye(4))
     with pytest.raises(InvalidView, match="DepthImage; a gfp_grasp"):
         GivenBoxes(boxes)(picture, up=None)  # pyright: ignore[reportArgumentType]
-    with pytest.raises(InvalidView, match="'tabletop' looks at depth pictures"):
+    with pytest.raises(InvalidView, match="looks at depth pictures, not at scans"):
         complete_scene(image, detector="tabletop")
 
 

@@ -91,5 +91,5 @@ def test_what_cannot_be_is_told(misfit: Misfit, told: list[str]) -> None:
 def test_a_lorry_that_is_seen_from_an_end_may_reach_far_beyond_it() -> None:
     long = Misfit(off_points=0.0, away=0.0, in_free_space=0.0, beyond=4.0)
     assert long.faults() == ["it reaches 4.0 lengths beyond what was seen"]
-    assert long.faults(of_long_class=True) == []
-    assert len(replace(long, off_points=0.5).faults(of_long_class=True)) == 1
+    assert long.faults(of_traffic=True) == []
+    assert len(replace(long, off_points=0.5).faults(of_traffic=True)) == 1

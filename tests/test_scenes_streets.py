@@ -38,12 +38,18 @@ def test_nothing_stands_in_anything_else_nor_where_the_sensor_is(street):
         assert not ((low < 0).all() and (high > 0).all())
 
 
-def test_vehicles_keep_to_the_road_and_face_along_it(street):
-    """Oncoming traffic is to the left; nine in ten of the vehicles face one way or the other along the road."""
-    vehicles = [thing for thing in street.things if thing.category in ("car", "van", "truck", "bus")]
-    ahead = np.array([thing.box.T_world_box[0, 0] for thing in vehicles])
-    assert (np.abs(ahead) > 0.95).all()
-    assert len(vehicles) > 6
+def test_vehicles_on_the_road_face_along_it_and_those_in_yards_as_they_like():
+    """The narrowest road reaches from y = -3.6 to 6.6 m, and no yard begins before -6.9 and 9.9 m."""
+    streets = [draw_street(np.random.default_rng(seed), num_things=30) for seed in range(4)]
+    vehicles = [t for one in streets for t in one.things if t.category in ("car", "van", "truck", "bus")]
+    places = np.array([thing.box.T_world_box[:2, 3] for thing in vehicles])
+    ahead = np.abs([thing.box.T_world_box[0, 0] for thing in vehicles])
+    on_road = (places[:, 1] > -3.6) & (places[:, 1] < 6.6)
+    in_yards = (places[:, 1] < -6.9) | (places[:, 1] > 9.9)
+    assert (ahead[on_road] > 0.95).all()
+    assert on_road.sum() > 25
+    assert in_yards.sum() > 5
+    assert (ahead[in_yards] < 0.9).any()
 
 
 def test_a_street_is_the_same_for_the_same_seed_and_another_for_another():

@@ -21,16 +21,28 @@ from gfp_grasp.complete import CompleteConfig, complete_to_mesh
 from gfp_grasp.completers import CONFIGS, complete_as_observed, complete_without_class, mirror_cloud
 from gfp_grasp.completion import Completion
 from gfp_grasp.deform import DeformConfig, Method
-from gfp_grasp.detect import detect_single
+from gfp_grasp.detect import DetectConfig, detect_single
+from gfp_grasp.errors import TooFewPoints
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.register import FitConfig, icp_config, pcrnet_config
-from gfp_grasp.train import across_edge, rest_rotation
+from gfp_grasp.train import ScansConfig, across_edge, rest_rotation, scan_of
 from gfp_grasp.transforms import apply_T, invert_T, make_T, rotation_about
-from gfp_grasp.types import DepthImage, Detection, GenericPrimitive, PointCloud
+from gfp_grasp.types import (
+    LIDAR,
+    TABLETOP,
+    DepthImage,
+    Detection,
+    GenericPrimitive,
+    PointCloud,
+    SensorProfile,
+)
 
-PROTOCOLS = ("standard", "noisy", "fallen", "hidden")
+PROTOCOLS = ("standard", "noisy", "fallen", "hidden", "lidar")
+# What the protocol of traffic looks at: everything that an HDL-64 sees of a thing at 7 to 16 m.
+_SCANS = ScansConfig(distance_m=(7.0, 16.0), height_m=(1.73, 1.73), hidden_share=0.0, lost_share=0.1, num_points=20_000)
 # What the noisy protocol's sensor does: blobs without return, and a quarter of the silhouette lost.
 _NOISY = SensorModel(sigma_m=0.003, hole_share=0.08, hole_radius_px=3.0, edge_lost_share=0.25)
+_LOOKS = 20  # scans that are tried until one has returns enough
 _LIFT_M = 1e-4  # rays start this far off their own surface
 _BOARD_M = 0.05  # how far in front of the object the board of the hidden protocol stands
 
@@ -45,6 +57,7 @@ class ObjectView:
         cloud: Points that the camera saw, with its viewpoint.
         image: The depth picture; None where a view is made of points alone.
         mask: (h, w) bool, the object's pixels in it that came back.
+        sensor: What saw it.
     """
 
     mesh: trimesh.Trimesh
@@ -52,6 +65,7 @@ class ObjectView:
     cloud: PointCloud
     image: DepthImage | None = None
     mask: np.ndarray | None = None
+    sensor: SensorProfile = TABLETOP
 
 
 def view_object(
@@ -68,11 +82,13 @@ def view_object(
         mesh: True mesh, z up, m.
         rng: Draws place, view and noise.
         protocol: "standard" (20 to 60 degrees up), "noisy" (5 to 80 degrees, 3 mm of noise and dropouts), "fallen"
-            (lying by any roll, or upside down) or "hidden" (half of its pixels behind a nearer board, whose straight
-            edge has any direction).
+            (lying by any roll, or upside down), "hidden" (half of its pixels behind a nearer board, whose straight
+            edge has any direction) or "lidar" (as it stands on a road, 7 to 16 m from an HDL-64 with its own noise).
         noise_m: Standard deviation of the depth noise; "noisy" has its own.
         hidden_share: Share of the pixels that "hidden" hides.
     """
+    if protocol == "lidar":
+        return _scanned(mesh, rng)
     height = float(rng.uniform(-0.3, 0.9))
     R = rotation_about((0, 0, 1), rng.uniform(0, 2 * np.pi))
     if protocol == "fallen":
@@ -91,6 +107,20 @@ def view_object(
     image = apply_sensor(image, _NOISY if protocol == "noisy" else SensorModel.gaussian(noise_m), rng)
     mask = (index == 0) & (image.depth_m > 0)
     return ObjectView(placed, T, cloud_of(image, mask), image, mask)
+
+
+def _scanned(mesh: trimesh.Trimesh, rng: np.random.Generator) -> ObjectView:
+    for _ in range(_LOOKS):
+        scanned = scan_of(mesh, rng, _SCANS)
+        if scanned is not None:
+            points, viewpoint, T = scanned
+            placed = mesh.copy()
+            placed.apply_transform(T)
+            return ObjectView(placed, T, PointCloud(points, viewpoint), sensor=LIDAR)
+    raise TooFewPoints(
+        f"a mesh {np.round(mesh.extents, 2)} m in extent gave fewer than {_SCANS.least_points} returns in each of "
+        f"{_LOOKS} scans at {_SCANS.distance_m} m: is it in metres?"
+    )
 
 
 def _fallen(rng: np.random.Generator) -> np.ndarray:
@@ -164,6 +194,7 @@ def run_method(
         view.cloud.points,
         viewpoint=view.cloud.viewpoint,
         category=given if tell else category,
+        sensor=view.sensor,
         config=config,
     )
     return Answer(done.mesh, done)
@@ -195,7 +226,8 @@ def _true_size(view: ObjectView, primitive: GenericPrimitive) -> tuple[float, fl
 
 
 def _detection(view: ObjectView) -> Detection:
-    return detect_single(view.cloud.points, viewpoint=view.cloud.viewpoint, up=np.array([0, 0, 1.0]))
+    config = DetectConfig(sensor=view.sensor)
+    return detect_single(view.cloud.points, viewpoint=view.cloud.viewpoint, up=np.array([0, 0, 1.0]), config=config)
 
 
 def _without(**switches: object) -> CompleteConfig:

@@ -41,7 +41,7 @@ class CompletionRow(Row):
         method: Name of the method.
         ms: Time that the method took, ms.
         cd_m: Chamfer distance to the truth, m; None where the method has no answer.
-        f_score: F-score at 5 mm; 0 where the method has no answer.
+        f_score: F-score at 5 mm, in traffic at 50 mm; 0 where the method has no answer.
         scale_error: Relative error of the size.
         iou: Intersection over union of the solids.
         class_found: Class that the method found.

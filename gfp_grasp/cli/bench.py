@@ -42,7 +42,7 @@ def completion(
     limit: Limit = None,
     given: Annotated[bool, typer.Option("--given-category", help="Tell the methods the true class.")] = False,
     noise_m: Annotated[float, typer.Option(min=0.0, help="Standard deviation of the depth noise.")] = 0.001,
-    protocol: Annotated[str, typer.Option(help="standard, noisy, fallen or hidden.")] = "standard",
+    protocol: Annotated[str, typer.Option(help="standard, noisy, fallen, hidden or lidar.")] = "standard",
     folders: Gps = None,
     workers: Workers = 1,
     ray: Ray = None,

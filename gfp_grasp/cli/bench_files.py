@@ -18,19 +18,33 @@ def kitti(
     rows: Annotated[str | None, typer.Option(help="Methods, with commas between; left out, all.")] = None,
     frames: Annotated[int, typer.Option(min=2, help="Consecutive scans of each track.")] = 12,
     limit: Limit = None,
+    shapes: Annotated[
+        Path | None,
+        typer.Option(help="Whole shapes that MMD looks among: ModelNet40, or meshes; left out, procedural ones."),
+    ] = None,
     workers: Workers = 1,
     json_file: JsonFile = None,
 ) -> None:
-    """Things of traffic completed in the boxes of a tree's labels, measured as KITTI's completion papers measure."""
+    """Things of traffic found in scans and completed, measured as papers on KITTI measure them."""
     from gfp_grasp.bench import KittiConfig, bench_kitti
 
-    config = KittiConfig(frames=frames, limit=limit)
+    config = KittiConfig(frames=frames, limit=limit, shapes=shapes)
     if rows:
         config = replace(config, rows=tuple(rows.split(",")))
     report = bench_kitti(data, config=config, workers=workers, progress=track("things"))
     headings = ("method", "things", "refused", "class right", "size", "fidelity, m", "MMD, m", "consistency, m", "s")
     names = ("things", "refused", "class_right", "size_error", "fidelity_m", "mmd_m", "consistency_m", "seconds")
     table(headings, [(name, *(str(row.get(key, "-")) for key in names)) for name, row in report["rows"].items()])
+    cells = [
+        (name, title, *(str(row.get(key, "-")) for key in ("things", "recall_0.5", "precision_0.5", "recall_0.7")))
+        for name, ranges in report.get("detection", {}).items()
+        for title, row in ranges.items()
+        if row["things"]
+    ]
+    if cells:
+        table(
+            ("class", "distance", "things", "recall, IoU 0.5", "precision", "recall, IoU 0.7"), cells, title="detection"
+        )
     save_json(json_file, report)
 
 

@@ -19,7 +19,7 @@ from gfp_grasp.detect.road import Road, find_road
 from gfp_grasp.detect.single import detect_single
 from gfp_grasp.detect.stacking import on_each_other
 from gfp_grasp.detect.support import find_support, warn_of_a_plane_aside
-from gfp_grasp.detect.turned import inside, iou_from_above
+from gfp_grasp.detect.turned import inside, iou_from_above, suppress
 from gfp_grasp.detect.validate import clean_cloud, numbers_of
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
         shares_in,
     )
     from gfp_grasp.detect.instances import InstanceNet, Votes, gather_votes, instance_features, level_picture, vote
-    from gfp_grasp.detect.pointrcnn import find_boxes, thinned
+    from gfp_grasp.detect.pointrcnn import detect_traffic, find_boxes, thinned
     from gfp_grasp.detect.proposal import (
         NUM_CHANNELS,
         NUM_POINTS,
@@ -90,6 +90,7 @@ __all__ = [
     "clean_cloud",
     "detect_objects",
     "detect_single",
+    "detect_traffic",
     "distance_in",
     "estimate_sigma",
     "features",
@@ -122,6 +123,7 @@ __all__ = [
     "seen_frame",
     "shares_in",
     "size_of",
+    "suppress",
     "thinned",
     "turned_cloud",
     "upright_box",
@@ -145,7 +147,7 @@ _WITH_TORCH = {
         ),
         "proposal",
     ),
-    **dict.fromkeys(("find_boxes", "thinned"), "pointrcnn"),
+    **dict.fromkeys(("detect_traffic", "find_boxes", "thinned"), "pointrcnn"),
     **dict.fromkeys(
         (
             "CELL_M", "StreetNet", "box_loss", "boxes_of", "picture_from_above", "places_in", "point_features", "pool",

@@ -120,7 +120,7 @@ def decompose_cached(
 Decompose = Callable[[trimesh.Trimesh], CollisionMesh]
 
 # Longest side of what one hand grasps off a table; beyond it a file is in millimetres or inches, or has no unit at all.
-_SIZES_M = (0.01, 1.0)
+LEAST_M, LARGEST_M = 0.01, 1.0
 # A mesh that fills less of its hull than this is an open vessel, whose walls weigh; what fills more may have contents.
 _VESSEL_FILL = 0.5
 _MASS_KG = (0.02, 1.0)
@@ -175,17 +175,21 @@ def _density_range(spec: CategorySpec | None, *, hollow: bool) -> tuple[float, f
     return spec.density_kg_m3 if spec is not None and spec.hollow == hollow else default_density(hollow=hollow)
 
 
-def solid_mesh(mesh_or_shape: object) -> trimesh.Trimesh:
+def solid_mesh(mesh_or_shape: object, *, largest_m: float = LARGEST_M) -> trimesh.Trimesh:
     """A watertight mesh; the very same one where it already is a volume.
 
+    Args:
+        mesh_or_shape: A mesh, m, or a shape.
+        largest_m: Its longest side is at most as long.
+
     Raises:
-        InvalidMesh: It cannot be closed, is none, or its longest side is not within 1 cm and 1 m.
+        InvalidMesh: It cannot be closed, is none, or its longest side is shorter than 1 cm or too long.
     """
     mesh = check_mesh(getattr(mesh_or_shape, "mesh", mesh_or_shape))  # pyright: ignore[reportArgumentType]
     longest_m = float(np.max(mesh.extents))
-    if not _SIZES_M[0] <= longest_m <= _SIZES_M[1]:
+    if not LEAST_M <= longest_m <= largest_m:
         raise InvalidMesh(
-            f"the mesh is {longest_m:.3g} m long, {_SIZES_M[0]} to {_SIZES_M[1]} m are expected: scale it to metres, "
+            f"the mesh is {longest_m:.3g} m long, {LEAST_M} to {largest_m} m are expected: scale it to metres, "
             "by 0.001 if its file is in millimetres"
         )
     return mesh if mesh.is_volume else make_solid(mesh)[0]

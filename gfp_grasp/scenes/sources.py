@@ -13,7 +13,7 @@ import trimesh
 from gfp_grasp.errors import InvalidOption, UnreadableFile
 from gfp_grasp.meshes import SUFFIXES, load_mesh
 from gfp_grasp.primitives import PrimitiveLibrary
-from gfp_grasp.scenes.objects import Decompose, rested, solid_mesh, true_object
+from gfp_grasp.scenes.objects import LARGEST_M, Decompose, rested, solid_mesh, true_object
 from gfp_grasp.transforms import make_T, rotation_about
 from gfp_grasp.types import TrueObject
 
@@ -45,10 +45,14 @@ class ObjectSource:
     up: Literal["z", "y"] = "z"
     height_m: float | None = None
 
-    def load_mesh(self) -> trimesh.Trimesh:
-        """The watertight mesh (m, z up, resting on z = 0), without convex parts: enough for looking at it."""
+    def load_mesh(self, *, largest_m: float = LARGEST_M) -> trimesh.Trimesh:
+        """The watertight mesh (m, z up, resting on z = 0), without convex parts: enough for looking at it.
+
+        Args:
+            largest_m: A file whose longest side is longer is not in metres.
+        """
         if self.path is not None:
-            return rested(solid_mesh(self._in_metres(load_mesh(self.path))))
+            return rested(solid_mesh(self._in_metres(load_mesh(self.path)), largest_m=largest_m))
         from gfp_grasp.shapes import make_mixture, make_shape
 
         if self.split:

@@ -15,6 +15,7 @@ from gfp_grasp.train.primitives import (
 )
 from gfp_grasp.train.proposal_data import CACHE, Example, above_table, assorted_examples, class_examples
 from gfp_grasp.train.rests import rest_rotation
+from gfp_grasp.train.scans import ScansConfig, scan_of
 from gfp_grasp.train.street_data import StreetScan, read_street, render_street, street_of_kitti
 from gfp_grasp.train.views import View, ViewsConfig, across_edge, render_views, shape_source
 
@@ -46,6 +47,7 @@ __all__ = [
     "OpenSetRow",
     "PointRCNNConfig",
     "ProposalConfig",
+    "ScansConfig",
     "StreetScan",
     "Thing",
     "View",
@@ -69,6 +71,7 @@ __all__ = [
     "render_street",
     "render_views",
     "rest_rotation",
+    "scan_of",
     "shape_source",
     "shipped_names",
     "shuffled",

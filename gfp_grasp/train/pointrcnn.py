@@ -63,7 +63,7 @@ class PointRCNNConfig(LoopConfig):
         classes: What it tells apart.
     """
 
-    steps: int = 8000
+    steps: int = 6000
     batch: int = 4
     rate: float = 2e-3
     decay: float = 0.65
