@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from gfp_grasp.train.loop import Batch, LoopConfig, shuffled, train
     from gfp_grasp.train.openset import SIGHTS, OpenSetConfig, OpenSetRow, openset_rows, train_openset
     from gfp_grasp.train.pcrnet import PCRNET_CONFIG, train_pcrnet
+    from gfp_grasp.train.peers import PEER_CONFIGS, PeerConfig, train_peer
     from gfp_grasp.train.proposal import train_proposal
     from gfp_grasp.train.proposal_batches import LIDAR_CONFIG, ProposalConfig
     from gfp_grasp.train.prototypes import make_prototypes, with_prototypes
@@ -33,6 +34,7 @@ __all__ = [
     "GFPNET_CONFIGS",
     "LIDAR_CONFIG",
     "PCRNET_CONFIG",
+    "PEER_CONFIGS",
     "SIGHTS",
     "Batch",
     "ClassfreeConfig",
@@ -42,6 +44,7 @@ __all__ = [
     "LoopConfig",
     "OpenSetConfig",
     "OpenSetRow",
+    "PeerConfig",
     "ProposalConfig",
     "Thing",
     "View",
@@ -72,6 +75,7 @@ __all__ = [
     "train_instances",
     "train_openset",
     "train_pcrnet",
+    "train_peer",
     "train_proposal",
     "with_prototypes",
     "with_spec",
@@ -88,6 +92,7 @@ _WITH_TORCH = {
     **dict.fromkeys(("Batch", "LoopConfig", "shuffled", "train"), "loop"),
     **dict.fromkeys(("SIGHTS", "OpenSetConfig", "OpenSetRow", "openset_rows", "train_openset"), "openset"),
     **dict.fromkeys(("PCRNET_CONFIG", "train_pcrnet"), "pcrnet"),
+    **dict.fromkeys(("PEER_CONFIGS", "PeerConfig", "train_peer"), "peers"),
     **dict.fromkeys(("make_prototypes", "with_prototypes"), "prototypes"),
 }
 
