@@ -19,11 +19,12 @@ from gfp_grasp.meshes import neighbour_average, surface_net, triangle_normals, v
 
 _NUM_CELLS = 56  # along the longest side of the points
 _NEIGHBOUR = 4  # the distance to this neighbour is the spacing of points
-_SEAL = 1.5  # spacings: points drawn at random from a surface leave no larger holes
+_AWAY = 1.5  # spacings that the skin is away from the points
+_SEAL = 2.0  # times as far away it seals off what is inside: points are sparser here and there
 _LEAST_CELLS = 1.2  # that the skin is away, or the grid lets it break up
 _LEAST = 0.02  # longest side of the points, in sides of the cube, that a skin is laid around
 _SET_BACK = 0.9  # share of the way to the points: of a sheet's two sides neither goes through the other
-_MEAN_OF = 6  # points that a vertex is set back to
+_MEAN_OF = 12  # points that a vertex is set back to
 _SMALL_BODY = 0.02  # share of the largest body's volume below which others are dropped
 DISTANCE_LEVEL = 1.0  # cells, where the skin around unsigned distances lies
 
@@ -41,13 +42,13 @@ def skin_of_points(points: np.ndarray) -> trimesh.Trimesh:
     spacing = float(np.median(tree.query(points, k=_NEIGHBOUR + 1)[0][:, -1]))
     low, high = points.min(axis=0), points.max(axis=0)
     cell = max(float((high - low).max()), _LEAST) / _NUM_CELLS
-    level = max(_SEAL * spacing, _LEAST_CELLS * cell)
-    origin = low - level - 2 * cell
-    shape = np.ceil((high - low + 2 * level) / cell).astype(int) + 5
+    level = max(_AWAY * spacing, _LEAST_CELLS * cell)
+    reach = _SEAL * level + 2 * cell
+    origin = low - reach
+    shape = np.ceil((high - low + 2 * reach) / cell).astype(int) + 1
     places = np.moveaxis(np.indices(shape), 0, -1).reshape(-1, 3) * cell + origin
-    reach = level + 2 * cell
     distance = np.minimum(tree.query(places, distance_upper_bound=reach)[0], reach).reshape(shape)
-    mesh = _sealed(distance - level, origin, cell)
+    mesh = _sealed(distance, origin, cell, level=level, seal=_SEAL * level)
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
     normals = vertex_normals(vertices, faces)
     near = points[tree.query(vertices, k=_MEAN_OF)[1]].mean(axis=1)
@@ -63,7 +64,8 @@ def skin_of_distances(distance: np.ndarray) -> trimesh.Trimesh:
         NoSurface: No cell is near a surface.
     """
     cell = 1 / len(distance)
-    mesh = _sealed(distance - DISTANCE_LEVEL, np.full(3, cell / 2 - 0.5), cell)
+    level = cell * DISTANCE_LEVEL
+    mesh = _sealed(cell * distance, np.full(3, cell / 2 - 0.5), cell, level=level, seal=level)
     vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
     step = _SET_BACK * DISTANCE_LEVEL * cell
     return trimesh.Trimesh(vertices - step * vertex_normals(vertices, faces), faces, process=False)
@@ -99,11 +101,22 @@ def outer_bodies(mesh: trimesh.Trimesh) -> trimesh.Trimesh:
     return answer
 
 
-def _sealed(field: np.ndarray, origin: np.ndarray, cell: float) -> trimesh.Trimesh:
-    """The outer surface around where a field is negative, and around what that seals off."""
-    field = np.pad(field, 1, constant_values=float(max(field.max(), cell)))
-    pieces = np.empty(field.shape, dtype=np.int32)
-    ndimage.label(field >= 0, output=pieces)
+def _sealed(distance: np.ndarray, origin: np.ndarray, cell: float, *, level: float, seal: float) -> trimesh.Trimesh:
+    """The outer surface at a distance from points or zeros, around what it seals off as well.
+
+    Args:
+        distance: (x, y, z), unsigned.
+        origin: (3,), place of the first value.
+        cell: Distance of two values.
+        level: Distance of the surface.
+        seal: Distance, no less, at which it is seen what is sealed off.
+    """
+    distance = np.pad(distance, 1, constant_values=float(max(distance.max(), seal + cell)))
+    pieces = np.empty(distance.shape, dtype=np.int32)
+    ndimage.label(distance >= seal, output=pieces)
     sealed = (pieces > 0) & (pieces != pieces[0, 0, 0])
-    field = np.where(sealed, -np.abs(field) - cell, field)
+    if seal > level and sealed.any():  # and what lies between that and the skin
+        near = np.asarray(ndimage.distance_transform_edt(~sealed)) <= (seal - level) / cell + 1
+        sealed |= near & (distance >= level)
+    field = np.where(sealed, -np.abs(distance - level) - cell, distance - level)
     return outer_bodies(surface_net(field, origin=origin - cell, cell_m=cell))

@@ -53,11 +53,13 @@ class Truth:
         return OrientedBox(T_world_object @ make_T(None, self.bounds.mean(axis=0)), np.ptp(self.bounds, axis=0))
 
     def distances_m(self, points: np.ndarray) -> np.ndarray:
-        """Signed distances (n,) m of points (n, 3) m; beyond the grid, those on it and the way there."""
+        """Signed distances (n,) m of points (n, 3) m; beyond the grid, the mean of the bounds that its faces give."""
         cells = self.grid.cells(points)
         inside = np.clip(cells, 0, np.array(self.distance.shape) - 1)
         near = ndimage.map_coordinates(self.distance.astype(np.float32), inside.T, order=1)
-        return self.grid.cell_m * (near + np.linalg.norm(cells - inside, axis=1))
+        beyond = np.linalg.norm(cells - inside, axis=1)
+        outside = (near + beyond + np.hypot(near, beyond)) / 2  # what is nearest lies behind the face
+        return self.grid.cell_m * np.where(beyond > 0, outside, near)
 
 
 def cached_truth(source: ObjectSource, folder: Path) -> Truth:
