@@ -14,6 +14,8 @@ from safetensors.torch import save_file
 from test_peers_cube import EYE, front_of_cylinder
 
 from gfp_grasp import completers
+from gfp_grasp.bench import CompletionConfig, bench_completion
+from gfp_grasp.bench.methods import run_method, view_object
 from gfp_grasp.completers import PEER_COMPLETERS, InTrueBox, ToldTruth, get_completer, needs_class
 from gfp_grasp.errors import InvalidOption, NotTrained, TooFewPoints, UnreadableFile
 from gfp_grasp.peers import (
@@ -31,7 +33,16 @@ from gfp_grasp.peers import (
 )
 from gfp_grasp.peers import weights as stored
 from gfp_grasp.transforms import apply_T, make_T, rotation_about
-from gfp_grasp.types import UNKNOWN, CollisionMesh, Detection, OrientedBox, PointCloud, SupportPlane, TrueObject
+from gfp_grasp.types import (
+    UNKNOWN,
+    CollisionMesh,
+    CompletedShape,
+    Detection,
+    OrientedBox,
+    PointCloud,
+    SupportPlane,
+    TrueObject,
+)
 
 UP = np.array([0.0, 0.0, 1.0])
 POINT_PEERS = [name for name in PEERS if issubclass(network_class(name), PointNetwork)]
@@ -229,3 +240,32 @@ def test_asking_for_the_names_of_peers_loads_no_torch() -> None:
     code = "import sys; from gfp_grasp.completers import PEER_COMPLETERS; print('torch' in sys.modules)"
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "False"
+
+
+@pytest.mark.parametrize("name", ["pcn", "pcn-true-box"])
+def test_the_bench_of_completions_gives_the_true_box_to_those_that_are_told_it(
+    name: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    asked = []
+
+    def complete(detection: Detection, name: str, *, box: OrientedBox | None = None) -> CompletedShape:
+        asked.append((name, box))
+        return CompletedShape(cylinder(), np.zeros(130, dtype=bool), np.full(130, 0.01))
+
+    monkeypatch.setattr("gfp_grasp.peers.complete_by_peer", complete, raising=False)
+    monkeypatch.setattr("gfp_grasp.completers.registry.check_trained", lambda name, true_box: None)
+    view = view_object(cylinder(), np.random.default_rng(0))
+    answer = run_method(name, view, None, "")
+    assert answer.completion is not None
+    assert answer.completion.category == UNKNOWN
+    ((peer, box),) = asked
+    assert peer == "pcn"
+    assert (box is None) == (name == "pcn")
+    if box is not None:
+        np.testing.assert_allclose(box.extents, (0.08, 0.08, 0.12), atol=1e-6)
+        np.testing.assert_allclose(box.T_world_box[:3, 3], view.mesh.bounds.mean(axis=0), atol=1e-3)
+
+
+def test_the_bench_refuses_a_peer_without_weights_before_it_begins(empty_weights: Path) -> None:
+    with pytest.raises(NotTrained, match="gfp-grasp train peer scrg"):
+        bench_completion("cup", methods=("partial", "scrg"), config=CompletionConfig(views=1, limit=1))

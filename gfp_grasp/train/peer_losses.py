@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from scipy.spatial import KDTree
 from torch import Tensor, nn
 from torch.nn import functional
 
@@ -75,15 +76,21 @@ def chamfer(a: Tensor, b: Tensor) -> Tensor:
     Source: PCN, equation 1.
     """
     a, b = a.float(), b.float()
-    with torch.no_grad():
-        apart = torch.cdist(a, b)
-        to_b, to_a = apart.argmin(dim=2), apart.argmin(dim=1)
-    return _mean_distance(a, b, to_b) + _mean_distance(b, a, to_a)
+    return _mean_distance(a, b) + _mean_distance(b, a)
 
 
-def _mean_distance(points: Tensor, others: Tensor, index: Tensor) -> Tensor:
-    near = torch.gather(others, 1, index[..., None].expand(-1, -1, 3))
+def _mean_distance(points: Tensor, others: Tensor) -> Tensor:
+    near = torch.gather(others, 1, _nearest(points.detach(), others.detach())[..., None].expand(-1, -1, 3))
     return (points - near).square().sum(dim=2).clamp_min(_NEAREST**2).sqrt().mean()
+
+
+def _nearest(points: Tensor, others: Tensor) -> Tensor:
+    """Index (b, n) of the nearest of others (b, m, 3) for each of points (b, n, 3)."""
+    if points.device.type != "cpu":
+        return torch.cdist(points, others).argmin(dim=2)
+    # On a CPU, trees take a tenth of the time of all distances.
+    found = [KDTree(to.numpy()).query(own.numpy())[1] for own, to in zip(points, others, strict=True)]
+    return torch.from_numpy(np.stack(found))
 
 
 def _point_loss(network: nn.Module, given: Tensor, truth: Tensor) -> Tensor:
