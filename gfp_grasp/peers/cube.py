@@ -63,6 +63,7 @@ def cube_of_seen(cloud: PointCloud, up: np.ndarray) -> Cube:
     """The cube that a user has: z along up, x towards the viewer, around the upright box of the observed points.
 
     Without a viewpoint x is the level direction in which the points are spread least, and the box is in the middle.
+    What an occluder hides may reach out of the cube; then grids cut it off.
 
     Args:
         cloud: Points that are `tidied`, world frame.

@@ -64,7 +64,7 @@ class Truth:
 
 def cached_truth(source: ObjectSource, folder: Path) -> Truth:
     """The truth of a shape, made where the cache lacks it."""
-    path = folder / source.category / f"{source.name}_{seed_of(source):06d}.npz"
+    path = folder / source.category / f"{seed_of(source):06d}_{_CELLS}_{_SAMPLES}.npz"
     if not path.is_file():
         mesh = source.load_mesh()
         bounds = np.array(mesh.bounds)

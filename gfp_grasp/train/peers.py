@@ -183,7 +183,7 @@ class _Course:
         config = replace(self.config, steps=steps)
         every = max(1, len(self.val) // _CURVE_VIEWS)
         held_out = make_batch(self.val[::every][:_CURVE_VIEWS], lesson, np.random.default_rng(config.seed))
-        curve = _Curve(network, lesson, held_out, self.folder / f"{self.key}_{part}_curve.json")
+        curve = _Curve(network, lesson, held_out, config.bf16, self.folder / f"{self.key}_{part}_curve.json")
 
         def report(step: int, loss: float) -> None:
             curve.add(step, loss)
@@ -209,6 +209,7 @@ class _Curve:
         network: What learns.
         lesson: How it learns.
         held_out: A batch of the validation split.
+        bf16: Multiply in bfloat16, as the training does.
         path: File of the points.
         points: Steps, mean loss since the point before, and loss of the validation batch.
     """
@@ -216,6 +217,7 @@ class _Curve:
     network: nn.Module
     lesson: Lesson
     held_out: Batch
+    bf16: bool
     path: Path
     points: list[tuple[int, float, float]] = field(default_factory=list)
 
@@ -228,7 +230,7 @@ class _Curve:
         device = next(self.network.parameters()).device
         given, truth = (part.to(device) for part in self.held_out)
         self.network.eval()
-        with torch.no_grad():
+        with torch.no_grad(), torch.autocast(device.type, dtype=torch.bfloat16, enabled=self.bf16):
             val = float(self.lesson.loss(self.network, given, truth))
         self.network.train()
         self.points = [point for point in self.points if point[0] < step] + [(step, _short(loss), _short(val))]
