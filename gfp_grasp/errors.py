@@ -77,6 +77,10 @@ class AssetMissing(GfpGraspError, FileNotFoundError):
     """A data file that ships with the package is not where it should be."""
 
 
+class NotTrained(AssetMissing):
+    """A network whose weights do not ship with the package; the message has the command that trains it."""
+
+
 class BuildFailed(GfpGraspError):
     """A primitive cannot be built from the meshes that were given."""
 

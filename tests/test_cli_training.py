@@ -10,7 +10,7 @@ import torch
 from recorded_calls import recorded, rows_of, run
 
 from gfp_grasp.primitives import BuildConfig, PrimitiveLibrary
-from gfp_grasp.train import GFPNET_CONFIGS, PCRNET_CONFIG, ClassfreeConfig, OpenSetConfig, ProposalConfig
+from gfp_grasp.train import GFPNET_CONFIGS, PCRNET_CONFIG, PEER_CONFIGS, ClassfreeConfig, OpenSetConfig, ProposalConfig
 
 MADE = SimpleNamespace(vertices=[0] * 5, modes=[0] * 2, parts=[0] * 3, part_errors_m=((1, 1), (0.00123, 0.0046)))
 
@@ -249,6 +249,26 @@ def test_training_of_the_class_free_completion_hands_on_every_option(
     ]
     assert bars == [("classfree", 7), ("classfree", ClassfreeConfig().steps)]
     assert capsys.readouterr().out == "[b]card.json\n[b]card.json\n"
+
+
+def test_training_of_a_peer_hands_on_every_option(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], bars: list[tuple[str, int]]
+) -> None:
+    train = recorded(monkeypatch, "gfp_grasp.train.train_peer", Path("[b]card.json"))
+    words = "--true-box --classes cup,,mug --file own.safetensors --steps 7 --members 3 --runs elsewhere"
+    assert run(f"train peer 3d-epn {words} --device cuda --workers 2 --seed 5") == 0
+    assert run("train peer pcn") == 0
+    config = replace(PEER_CONFIGS["3d-epn"], seed=5, device="cuda", steps=7, members=3)
+    given = {"classes": ("cup", "mug"), "out": Path("own.safetensors"), "runs": Path("elsewhere"), "workers": 2}
+    default = {"classes": None, "out": None, "runs": Path("runs"), "workers": 1}
+    assert train.calls == [
+        (("3d-epn",), {**given, "true_box": True, "config": config, "report": "report"}),
+        (("pcn",), {**default, "true_box": False, "config": PEER_CONFIGS["pcn"], "report": "report"}),
+    ]
+    assert bars == [("3d-epn", 7), ("pcn", PEER_CONFIGS["pcn"].steps)]
+    assert capsys.readouterr().out == "[b]card.json\n[b]card.json\n"
+    assert run("train peer magic") != 0
+    assert "choose one of pcn" in capsys.readouterr().err
 
 
 def test_training_of_known_and_unknown_hands_on_every_option(

@@ -26,6 +26,7 @@ ROWS = (
         "register",
         "deform",
         "classfree",
+        "peers",
         "grasps",
         "misfit",
         "openset",
@@ -40,7 +41,7 @@ ROWS = (
 ROW_OF = {room: row for row, rooms in enumerate(ROWS) for room in rooms}
 # A prefix of the module's name under gfp_grasp, for each library that is slow to load or can crash.
 HEAVY = {
-    "torch": ("register.", "detect.", "deform.", "classfree.", "train.", "bench.ablation"),
+    "torch": ("register.", "detect.", "deform.", "classfree.", "peers.", "train.", "bench.ablation"),
     "coacd": ("collision.",),
     "vhacdx": ("collision.",),
     "mujoco": (

@@ -33,6 +33,7 @@ from gfp_grasp.bench.methods import (
     view_object,
 )
 from gfp_grasp.bench.rows import CompletionRow, paired_gain, summarise, table_one
+from gfp_grasp.completers import PEER_COMPLETERS, get_completer
 from gfp_grasp.completion import Completion
 from gfp_grasp.errors import GfpGraspError, InvalidOption
 from gfp_grasp.meshes import sample_surface, vertex_normals
@@ -95,7 +96,7 @@ def bench_completion(
     Args:
         objects: Families with commas between, or a folder; of a folder, files whose name starts with a class
             that has no primitive are left out.
-        methods: Some of METHODS.
+        methods: Some of METHODS and of `gfp_grasp.completers.PEER_COMPLETERS`.
         config: Views and noise.
         known: Report of an earlier run, whose rows are kept if its settings are the same; else all are made again.
         workers: Number of processes.
@@ -115,10 +116,14 @@ def bench_completion(
 
     Raises:
         InvalidOption: An unknown method.
+        NotTrained: The weights of another network do not ship; the message has the command that trains it.
     """
-    unknown = set(methods) - set(METHODS)
+    legal = (*METHODS, *PEER_COMPLETERS)
+    unknown = set(methods) - set(legal)
     if unknown:
-        raise InvalidOption(f"unknown methods {sorted(unknown)}; legal are {', '.join(METHODS)}")
+        raise InvalidOption(f"unknown methods {sorted(unknown)}; legal are {', '.join(legal)}")
+    for name in set(methods) & set(PEER_COMPLETERS):
+        get_completer(name)
     library = PrimitiveLibrary.from_option(config.gps)
     sources = [
         s for s in load_objects(objects, split=config.split, limit=config.limit) if s.category in library.categories
@@ -132,7 +137,7 @@ def bench_completion(
             row = CompletionRow(**{**record, "method": FORMER_NAMES.get(record["method"], record["method"])})
             kept.setdefault((row.object, row.view), []).append(row)
         done = {row.method for rows in kept.values() for row in rows}
-        methods = tuple(m for m in METHODS if m in methods or m in done)
+        methods = tuple(m for m in legal if m in methods or m in done)
     jobs = [(source, view, kept.get((source.name, view), [])) for source in sources for view in range(config.views)]
     run = partial(_rows_of_view, methods=tuple(methods), config=config)
     found = pmap(run, jobs, workers=workers, ray=ray, progress=progress)

@@ -18,11 +18,20 @@ from gfp_grasp.camera import (
     sample_viewpoint,
 )
 from gfp_grasp.complete import CompleteConfig, complete_to_mesh
-from gfp_grasp.completers import CONFIGS, complete_as_observed, complete_without_class, mirror_cloud
+from gfp_grasp.completers import (
+    CONFIGS,
+    PEER_COMPLETERS,
+    InTrueBox,
+    complete_as_observed,
+    complete_without_class,
+    get_completer,
+    mirror_cloud,
+)
 from gfp_grasp.completion import Completion
 from gfp_grasp.deform import DeformConfig, Method
 from gfp_grasp.detect import DetectConfig, detect_single
 from gfp_grasp.errors import TooFewPoints
+from gfp_grasp.peers import true_box
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.register import FitConfig, icp_config, pcrnet_config
 from gfp_grasp.train import ScansConfig, across_edge, rest_rotation, scan_of
@@ -176,9 +185,10 @@ def run_method(
     """One method on one view.
 
     Args:
-        name: One of METHODS. "truth" is the true mesh, as far from itself as two samplings of one surface are;
-            "partial" the cloud as it is, "observed" its hull. Those that begin with "told-" (the paper's) are told the
-            true class; those that end in "-sized" also get the true height and width.
+        name: One of METHODS or of `gfp_grasp.completers.PEER_COMPLETERS`. "truth" is the true mesh, as far from itself
+            as two samplings of one surface are; "partial" the cloud as it is, "observed" its hull. Those that begin
+            with "told-" (the paper's) are told the true class; those that end in "-sized" also get the true height and
+            width, and those that end in "-true-box" the true box.
         view: The view; a method gets its cloud.
         category: Class that the other methods are told, or None.
         given: True class of the object.
@@ -189,6 +199,8 @@ def run_method(
     """
     if name in _SIMPLE:
         return Answer(_SIMPLE[name](view))
+    if name in PEER_COMPLETERS:
+        return _answer_of_peer(name, view)
     config, tell = config_of(name, view, given, library=library)
     done = complete_to_mesh(
         view.cloud.points,
@@ -197,6 +209,18 @@ def run_method(
         sensor=view.sensor,
         config=config,
     )
+    return Answer(done.mesh, done)
+
+
+def _answer_of_peer(name: str, view: ObjectView) -> Answer:
+    """Another network's answer; one that is told the true box gets that of the object as it stands."""
+    complete = get_completer(name)
+    if not isinstance(complete, InTrueBox):
+        done = complete(_detection(view))
+    else:
+        upright = view.mesh.copy()
+        upright.apply_transform(invert_T(view.T_world_object))
+        done = complete(_detection(view), true_box(upright, view.T_world_object))
     return Answer(done.mesh, done)
 
 

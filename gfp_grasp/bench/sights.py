@@ -14,7 +14,7 @@ import trimesh
 from gfp_grasp.bench.clutter import draw_clutter
 from gfp_grasp.bench.methods import view_object
 from gfp_grasp.camera import SensorModel, apply_sensor, cloud_of, intrinsics, render_mesh_view, sample_viewpoint
-from gfp_grasp.completers import Oracle, get_completer, needs_class
+from gfp_grasp.completers import ToldTruth, get_completer, needs_class
 from gfp_grasp.completion import Completion
 from gfp_grasp.detect import DetectConfig, detect_single
 from gfp_grasp.errors import GfpGraspError
@@ -105,7 +105,7 @@ def answers_to(sight: Sight, completers: Sequence[str]) -> dict[str, SightAnswer
 def _answer(name: str, detection: Detection, sight: Sight, detect_s: float) -> SightAnswer:
     complete = get_completer(name)
     try:
-        if isinstance(complete, Oracle):
+        if isinstance(complete, ToldTruth):
             return SightAnswer(complete.placed(detection, sight.source.load(), sight.T_world_object))
         start = time.perf_counter()
         if needs_class(name):

@@ -1,7 +1,8 @@
-"""Completers by name, and those that fit no primitive: hulls of the observed points, a network, and the truth."""
+"""Completers by name, and those that fit no primitive: hulls of the observed points, networks, and the truth."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
@@ -17,11 +18,20 @@ from gfp_grasp.deform import DeformConfig
 from gfp_grasp.errors import InvalidCloud, InvalidMesh, InvalidOption, UnknownCompleter
 from gfp_grasp.level import mark_observed
 from gfp_grasp.meshes import check_mesh, make_solid
+from gfp_grasp.peers import PEERS, TRUE_BOX, check_trained, true_box
 from gfp_grasp.plugins import imported_function
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.register import icp_config, pcrnet_config
 from gfp_grasp.transforms import apply_T
-from gfp_grasp.types import UNKNOWN, CollisionMesh, CompletedShape, ConvexPart, Detection, TrueObject
+from gfp_grasp.types import (
+    UNKNOWN,
+    CollisionMesh,
+    CompletedShape,
+    ConvexPart,
+    Detection,
+    OrientedBox,
+    TrueObject,
+)
 
 Completer = Callable[[Detection], Completion]
 
@@ -125,8 +135,16 @@ def complete_without_class(detection: Detection) -> Completion:
     return Completion(complete_classfree(detection), replace(detection, category=UNKNOWN))
 
 
-class Oracle:
-    """The true mesh as its own completion; no other completer is given the truth."""
+class ToldTruth(ABC):
+    """A completer that is told what a simulator holds of the object: a bound or a comparison, of no use on a robot."""
+
+    @abstractmethod
+    def placed(self, detection: Detection, truth: TrueObject, T_world_object: np.ndarray) -> Completion:
+        """Complete an object that the simulator holds, at its pose (4, 4)."""
+
+
+class Oracle(ToldTruth):
+    """The true mesh as its own completion; no other completer is given the true shape."""
 
     def __call__(
         self, detection: Detection, truth: trimesh.Trimesh | None = None, collision: CollisionMesh | None = None
@@ -154,6 +172,58 @@ class Oracle:
         return self(detection, mesh, replace(known, parts=parts))
 
 
+def complete_as_peer(detection: Detection, name: str) -> Completion:
+    """The completion of another network, in a cube around what was seen; its category is `UNKNOWN`.
+
+    Args:
+        detection: The object as it was seen.
+        name: One of `gfp_grasp.peers.PEERS`.
+
+    Raises:
+        NotTrained: Its weights do not ship; the message has the command that trains it.
+        TooFewPoints: Too few points.
+        NoSurface: The network finds nothing solid.
+    """
+    from gfp_grasp.peers import complete_by_peer  # torch is loaded where it is needed only
+
+    return Completion(complete_by_peer(detection, name), replace(detection, category=UNKNOWN))
+
+
+@dataclass(frozen=True)
+class InTrueBox(ToldTruth):
+    """Another network, told the true box, as its paper normalises objects; it is not told the shape.
+
+    Attributes:
+        name: One of `gfp_grasp.peers.PEERS`.
+    """
+
+    name: str
+
+    def __call__(self, detection: Detection, box: OrientedBox | None = None) -> Completion:
+        """Complete an object within its true box.
+
+        Args:
+            detection: The object as it was seen.
+            box: The true box, along the object's own axes, world frame.
+
+        Raises:
+            InvalidOption: The box is missing, as for any other completer.
+            NotTrained, TooFewPoints, NoSurface: As `complete_as_peer` does.
+        """
+        if box is None:
+            raise InvalidOption(
+                f"{self.name}{TRUE_BOX} needs the true box: use it in a simulator only, or {self.name!r}, which does "
+                "without"
+            )
+        from gfp_grasp.peers import complete_by_peer
+
+        return Completion(complete_by_peer(detection, self.name, box=box), replace(detection, category=UNKNOWN))
+
+    def placed(self, detection: Detection, truth: TrueObject, T_world_object: np.ndarray) -> Completion:
+        """Complete an object within the box that the simulator's mesh has at its pose (4, 4)."""
+        return self(detection, true_box(truth.mesh, T_world_object))
+
+
 # What answers with a primitive whatever speaks against it.
 _ALWAYS = CompleteConfig(unknown_above=1.0, fall_back=False)
 # Completers that fit a primitive, and how each of them does it; the paper's have one whatever they see.
@@ -174,6 +244,8 @@ _WITHOUT_CLASS: Mapping[str, Completer] = {
     "classfree": complete_without_class,
 }
 COMPLETERS = (*_WITHOUT_CLASS, *CONFIGS)
+# Other networks, as a user has them and as their papers normalise; they stand in comparisons where they are named.
+PEER_COMPLETERS = tuple(f"{name}{way}" for name in PEERS for way in ("", TRUE_BOX))
 
 
 def get_completer(name: str, *, library: PrimitiveLibrary | None = None) -> Completer:
@@ -184,14 +256,16 @@ def get_completer(name: str, *, library: PrimitiveLibrary | None = None) -> Comp
             through its middle that faces the camera), `classfree` (a network that knows no class), `icp` and `pcrnet`
             (the mean primitive, placed rigidly), `registration` (the fitted primitive, undeformed), that deformed by
             `gfs` (active contour), `gfpnet-oneshot` or `gfpnet-paper` (the paper's networks) or `gfpnet` (the package's
-            method), `oracle` (the true mesh; see `Oracle`), or `package.module:function`, a function of a Detection
-            that returns a trimesh.Trimesh in the world frame or a Completion.
+            method), `oracle` (the true mesh; see `Oracle`), one of PEER_COMPLETERS (another network, such as `pcn`, or
+            `pcn-true-box`, which is told the true box; see `InTrueBox`), or `package.module:function`, a function of a
+            Detection that returns a trimesh.Trimesh in the world frame or a Completion.
         library: The classes that there are for the package's own completers; None for those that ship.
 
     Returns:
-        A function of a detection; for `oracle` an `Oracle`, which takes the truth as well.
+        A function of a detection; one that is told the truth is a `ToldTruth`, which takes it as well.
 
     Raises:
+        NotTrained: The weights of the other network do not ship; the message has the command that trains it.
         UnknownCompleter: The name is none of these, or cannot be imported.
     """
     if name in _WITHOUT_CLASS:
@@ -199,14 +273,23 @@ def get_completer(name: str, *, library: PrimitiveLibrary | None = None) -> Comp
     if name in CONFIGS:
         config = CONFIGS[name] if library is None else replace(CONFIGS[name], library=library)
         return partial(complete_detection, config=config)
-    on_offer = ", ".join(COMPLETERS)
+    if name in PEER_COMPLETERS:
+        return _peer(name)
+    on_offer = ", ".join((*COMPLETERS, *PEER_COMPLETERS))
     function = imported_function(name, what="completer", of="a Detection", on_offer=on_offer, error=UnknownCompleter)
     return _checked(function)
 
 
 def needs_class(name: str) -> bool:
     """Whether a completer, by name, looks at the class of its detection."""
-    return name not in _WITHOUT_CLASS  # a user's own may ask for the class
+    return name not in _WITHOUT_CLASS and name not in PEER_COMPLETERS  # a user's own may ask for the class
+
+
+def _peer(completer: str) -> Completer:
+    """A completer of PEER_COMPLETERS; its weights are loaded at its first call."""
+    name = completer.removesuffix(TRUE_BOX)
+    check_trained(name, true_box=name != completer)
+    return partial(complete_as_peer, name=name) if name == completer else InTrueBox(name)
 
 
 def _checked(function: Callable[[Detection], object]) -> Completer:

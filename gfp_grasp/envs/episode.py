@@ -11,7 +11,7 @@ import trimesh
 
 from gfp_grasp.camera import apply_sensor, intrinsics, render_depth, sample_viewpoint
 from gfp_grasp.complete import Completion
-from gfp_grasp.completers import Completer, Oracle, needs_class
+from gfp_grasp.completers import Completer, ToldTruth, needs_class
 from gfp_grasp.detect import Detector
 from gfp_grasp.envs.config import EnvConfig
 from gfp_grasp.errors import AssetMissing, GfpGraspError, NothingDetected
@@ -178,7 +178,7 @@ def _mask_of(detection: Detection, image: DepthImage) -> np.ndarray:
 
 
 def _complete(complete: Completer, detection: Detection, truth: TrueObject, T_world_object: np.ndarray) -> Completion:
-    if isinstance(complete, Oracle):
+    if isinstance(complete, ToldTruth):
         return complete.placed(detection, truth, T_world_object)
     return complete(detection)
 

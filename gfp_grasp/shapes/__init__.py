@@ -3,12 +3,23 @@
 from gfp_grasp.shapes.assorted import foreign_kinds, make_assorted
 from gfp_grasp.shapes.family import Family
 from gfp_grasp.shapes.mixtures import MIXTURES, make_mixture
-from gfp_grasp.shapes.shape import FAMILIES, HOUSEHOLD, SPLITS, TRAFFIC, Shape, get_family, make_shape, split_seeds
+from gfp_grasp.shapes.shape import (
+    FAMILIES,
+    HOUSEHOLD,
+    IN_PAPER,
+    SPLITS,
+    TRAFFIC,
+    Shape,
+    get_family,
+    make_shape,
+    split_seeds,
+)
 from gfp_grasp.shapes.streets import IN_STREETS, STREET_FURNITURE
 
 __all__ = [
     "FAMILIES",
     "HOUSEHOLD",
+    "IN_PAPER",
     "IN_STREETS",
     "MIXTURES",
     "SPLITS",

@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     from gfp_grasp.train.loop import Batch, LoopConfig, shuffled, train
     from gfp_grasp.train.openset import SIGHTS, OpenSetConfig, OpenSetRow, openset_rows, train_openset
     from gfp_grasp.train.pcrnet import PCRNET_CONFIG, train_pcrnet
+    from gfp_grasp.train.peers import PEER_CONFIGS, PeerConfig, train_peer
     from gfp_grasp.train.pointrcnn import PointRCNNConfig, measure_pointrcnn, train_pointrcnn
     from gfp_grasp.train.proposal import train_proposal
     from gfp_grasp.train.proposal_batches import LIDAR_CONFIG, ProposalConfig
@@ -36,6 +37,7 @@ __all__ = [
     "GFPNET_CONFIGS",
     "LIDAR_CONFIG",
     "PCRNET_CONFIG",
+    "PEER_CONFIGS",
     "SIGHTS",
     "Batch",
     "ClassfreeConfig",
@@ -45,6 +47,7 @@ __all__ = [
     "LoopConfig",
     "OpenSetConfig",
     "OpenSetRow",
+    "PeerConfig",
     "PointRCNNConfig",
     "ProposalConfig",
     "ScansConfig",
@@ -83,6 +86,7 @@ __all__ = [
     "train_instances",
     "train_openset",
     "train_pcrnet",
+    "train_peer",
     "train_pointrcnn",
     "train_proposal",
     "with_prototypes",
@@ -101,6 +105,7 @@ _WITH_TORCH = {
     **dict.fromkeys(("SIGHTS", "OpenSetConfig", "OpenSetRow", "openset_rows", "train_openset"), "openset"),
     **dict.fromkeys(("PCRNET_CONFIG", "train_pcrnet"), "pcrnet"),
     **dict.fromkeys(("PointRCNNConfig", "measure_pointrcnn", "train_pointrcnn"), "pointrcnn"),
+    **dict.fromkeys(("PEER_CONFIGS", "PeerConfig", "train_peer"), "peers"),
     **dict.fromkeys(("make_prototypes", "with_prototypes"), "prototypes"),
 }
 

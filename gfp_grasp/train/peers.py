@@ -1,0 +1,260 @@
+"""Trains the networks that GFPNet is compared with: all on the same views, each with the loss of its paper.
+
+`gfp-grasp train peer NAME` renders, trains and measures in the metric way, with `--true-box` in that of the papers. The
+schedules take two hours of one core each (EPYC with AVX-512, one thread).
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import nn
+
+from gfp_grasp.assets import data_dir
+from gfp_grasp.errors import GfpGraspError, InvalidOption
+from gfp_grasp.metrics import chamfer_m, visible_surface
+from gfp_grasp.peers import (
+    AmortisedFit,
+    PeerNetwork,
+    ShapePrior,
+    complete_by_peer,
+    get_peer,
+    make_network,
+    weights_stem,
+)
+from gfp_grasp.shapes import HOUSEHOLD, IN_PAPER, get_family
+from gfp_grasp.train.loop import Batch, LoopConfig, train, training_key, write_weights
+from gfp_grasp.train.peer_data import PeerView, peer_views
+from gfp_grasp.train.peer_losses import Lesson, lesson_batches, lesson_of, make_batch, prior_lesson
+from gfp_grasp.transforms import apply_T
+
+# What the card's figures are of: households, and the classes of the paper's table that are none.
+CLASSES = tuple(dict.fromkeys((*HOUSEHOLD, *IN_PAPER)))
+_CURVE_VIEWS = 32  # of the validation split, that each point of a learning curve is measured on
+_SAMPLES = 4096
+
+
+@dataclass(frozen=True)
+class PeerConfig(LoopConfig):
+    """Schedule and data of a peer.
+
+    Attributes:
+        members: Members of each class.
+        views: Views of each member.
+        prior_share: Share of the steps that a shape prior is trained in; only `3d-sc` has one.
+    """
+
+    rate: float = 1e-3
+    decay: float = 0.7
+    members: int = 120
+    views: int = 4
+    prior_share: float = 0.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if self.members < 1 or self.views < 1 or not 0 <= self.prior_share < 1:
+            raise InvalidOption("members and views must be at least 1, prior_share from 0 to less than 1")
+
+
+# Two hours of one core each, as the seconds of a step were measured.
+PEER_CONFIGS: Mapping[str, PeerConfig] = {
+    "pcn": PeerConfig(steps=20_000, batch=16),
+    "foldingnet": PeerConfig(steps=18_000, batch=16),
+    "topnet": PeerConfig(steps=38_000, batch=16),
+    "3d-epn": PeerConfig(steps=34_000, batch=16),
+    "3d-sc": PeerConfig(steps=11_000, batch=16, prior_share=0.5),
+    "scrg": PeerConfig(steps=13_500, batch=16),
+}
+
+
+def train_peer(
+    name: str,
+    *,
+    true_box: bool = False,
+    config: PeerConfig | None = None,
+    classes: Sequence[str] | None = None,
+    out: Path | None = None,
+    runs: Path = Path("runs"),
+    workers: int = 1,
+    report: Callable[[int, float], None] | None = None,
+) -> Path:
+    """Train a peer, measure its completions of the validation split and write weights and card.
+
+    Args:
+        name: One of `gfp_grasp.peers.PEERS`.
+        true_box: Learn in the cube around the true box, in place of that around what was seen.
+        config: Schedule and data; None takes those of PEER_CONFIGS.
+        classes: Procedural families; None takes CLASSES.
+        out: Weights file; None is the shipped one.
+        runs: Folder of views, truths and checkpoints; a later call goes on from there.
+        workers: Processes that render.
+        report: Told the step and the loss.
+
+    Returns:
+        Path of the card.
+
+    Raises:
+        InvalidOption: No such peer.
+        UnknownCategory: No such family.
+    """
+    get_peer(name)
+    config = config or PEER_CONFIGS[name]
+    classes = tuple(classes or CLASSES)
+    for family in classes:
+        get_family(family)
+    how = {"true_box": true_box, "runs": runs, "workers": workers}
+    views = peer_views(classes, "train", members=config.members, num_views=config.views, **how)
+    val = peer_views(classes, "val", members=max(1, config.members // 15), num_views=1, **how)
+    course = _Course(config, views, val, runs / "peers", training_key(name, true_box, config, classes), report)
+    network, hours, curves = _trained(name, course)
+    network.half().float()  # measured as it will be loaded
+    return write_weights(
+        network,
+        out or data_dir("weights") / f"{weights_stem(name, true_box=true_box)}.safetensors",
+        config=config,
+        data={"classes": classes, "split": "train", "true_box": true_box, "views": len(views)},
+        hours=hours,
+        metrics={"val": measure_peer(name, network, val, true_box=true_box)},
+        extra=curves,
+    )
+
+
+def measure_peer(name: str, network: PeerNetwork, views: Sequence[PeerView], *, true_box: bool) -> dict[str, object]:
+    """Chamfer distances of completed meshes, by class and as the mean of all views that have an answer.
+
+    Args:
+        name: The peer.
+        network: Its network.
+        views: What is completed.
+        true_box: Whether it is told the true box.
+
+    Returns:
+        Number of views and of those without an answer; `cd_m`, in metres; `cd_boxes`, in longest sides of true boxes.
+    """
+    found: dict[str, list[tuple[float, float]]] = {}
+    failed = 0
+    for number, view in enumerate(views):
+        T, rng = view.view.T_world_object, np.random.default_rng(number)
+        box = view.truth.box(T)
+        try:
+            shape = complete_by_peer(view.view.detection(), name, box=box if true_box else None, network=network)
+            points = visible_surface(shape.mesh, _SAMPLES, rng)
+        except GfpGraspError:
+            failed += 1
+            continue
+        cd_m = chamfer_m(points, apply_T(T, view.truth.points))
+        for key in ("all", view.view.family):
+            found.setdefault(key, []).append((cd_m, cd_m / float(box.extents.max())))
+    means = {key: np.mean(rows, axis=0) for key, rows in found.items()}
+    return {
+        "views": len(views),
+        "failed": failed,
+        "cd_m": {key: round(float(mean[0]), 5) for key, mean in means.items()},
+        "cd_boxes": {key: round(float(mean[1]), 5) for key, mean in means.items()},
+    }
+
+
+@dataclass(frozen=True, eq=False)
+class _Course:
+    """All that the trainings of one peer share."""
+
+    config: PeerConfig
+    views: Sequence[PeerView]
+    val: Sequence[PeerView]
+    folder: Path
+    key: str
+    report: Callable[[int, float], None] | None
+
+    def run(self, network: nn.Module, lesson: Lesson, *, steps: int, part: str, before: int = 0):
+        """Train a network; it, its hours and its learning curve.
+
+        Args:
+            network: Freshly made.
+            lesson: How it learns.
+            steps: Of the optimiser.
+            part: Name of this training, for its files.
+            before: Steps that other parts took.
+        """
+        config = replace(self.config, steps=steps)
+        every = max(1, len(self.val) // _CURVE_VIEWS)
+        held_out = make_batch(self.val[::every][:_CURVE_VIEWS], lesson, np.random.default_rng(config.seed))
+        curve = _Curve(network, lesson, held_out, config.bf16, self.folder / f"{self.key}_{part}_curve.json")
+
+        def report(step: int, loss: float) -> None:
+            curve.add(step, loss)
+            if self.report is not None:
+                self.report(before + step, loss)
+
+        trained, hours = train(
+            network,
+            lesson_batches(self.views, lesson, config.batch),
+            lesson.loss_of_batch,
+            config=config,
+            checkpoint=self.folder / f"{self.key}_{part}.pt",
+            report=report,
+        )
+        return trained, hours, curve.points
+
+
+@dataclass(eq=False)
+class _Curve:
+    """A learning curve that outlives a run that is stopped.
+
+    Attributes:
+        network: What learns.
+        lesson: How it learns.
+        held_out: A batch of the validation split.
+        bf16: Multiply in bfloat16, as the training does.
+        path: File of the points.
+        points: Steps, mean loss since the point before, and loss of the validation batch.
+    """
+
+    network: nn.Module
+    lesson: Lesson
+    held_out: Batch
+    bf16: bool
+    path: Path
+    points: list[tuple[int, float, float]] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        if self.path.is_file():
+            self.points = [(int(step), own, val) for step, own, val in json.loads(self.path.read_text())]
+
+    def add(self, step: int, loss: float) -> None:
+        """A point; those of steps that a resumed run does again are dropped."""
+        device = next(self.network.parameters()).device
+        given, truth = (part.to(device) for part in self.held_out)
+        self.network.eval()
+        with torch.no_grad(), torch.autocast(device.type, dtype=torch.bfloat16, enabled=self.bf16):
+            val = float(self.lesson.loss(self.network, given, truth))
+        self.network.train()
+        self.points = [point for point in self.points if point[0] < step] + [(step, _short(loss), _short(val))]
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        self.path.write_text(json.dumps(self.points))
+
+
+def _short(value: float) -> float:
+    return float(f"{value:.4g}")
+
+
+def _trained(name: str, course: _Course) -> tuple[PeerNetwork, float, dict[str, object]]:
+    """The trained network of a peer, the hours of all its parts, and its learning curves for the card."""
+    torch.manual_seed(course.config.seed)
+    steps, hours, curves = course.config.steps, 0.0, {}
+    network, before = make_network(name), 0
+    if isinstance(network, AmortisedFit):
+        before = max(1, round(course.config.prior_share * steps))
+        prior, hours, points = course.run(ShapePrior(), prior_lesson(), steps=before, part="prior")
+        assert isinstance(prior, ShapePrior)
+        network.decode.load_state_dict(prior.decode.state_dict())
+        curves["learning_curve_of_prior"] = points
+    trained, own_hours, points = course.run(
+        network, lesson_of(name), steps=max(1, steps - before), part="own", before=before
+    )
+    assert isinstance(trained, PeerNetwork)
+    return trained, hours + own_hours, {"learning_curve": points, **curves}
