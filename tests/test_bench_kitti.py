@@ -66,6 +66,8 @@ def test_things_are_measured_in_their_boxes(tree: Path, completed: list[SimpleNa
     assert 0.05 < row["consistency_m"] < 0.2
     assert [one["name"] for one in row["each"]] == ["scan_1/0", "track_1_car/0", "track_1_car/1"]
     assert "surface" not in row["each"][0]
+    assert row["each"][0]["size_m"] == [4.4, 1.6, 1.5]
+    assert row["each"][0]["label_m"] == [4.0, 1.6, 1.5]
     assert set(row["by_class"]) == {"van", "car"}
     assert all(call.category is None for call in completed)
     assert all(call.sensor.name == "lidar" for call in completed)
@@ -77,6 +79,9 @@ def test_fidelity_is_the_distance_to_what_all_scans_saw(tree: Path, completed: l
     assert report["rows"]["partial"]["fidelity_m"] == 0.0
     assert report["rows"]["partial"]["consistency_m"] == pytest.approx(0.0, abs=1e-4)
     assert 0.4 < report["rows"]["gfpnet"]["fidelity_m"] < 0.9
+    # The other way round, a side 0.05 m inside of a box is that far from it, and samples are 0.1 m apart.
+    assert report["rows"]["gfpnet"]["seen_m"] == pytest.approx(0.07, abs=0.03)
+    assert report["rows"]["gfpnet"]["input_m"] == pytest.approx(0.07, abs=0.03)
     assert 0.1 < report["rows"]["gfpnet"]["mmd_m"] < report["rows"]["partial"]["mmd_m"]
 
 
@@ -94,6 +99,20 @@ def test_what_is_refused_is_counted_and_told(tree: Path, monkeypatch: pytest.Mon
 def test_the_paper_s_rows_are_told_the_class(tree: Path, completed: list[SimpleNamespace]):
     bench_kitti(tree, config=KittiConfig(rows=("told-pcrnet-gfs",)))
     assert [call.category for call in completed] == ["van", "car", "car"]
+
+
+def test_whole_shapes_of_a_folder_are_matched_with(tree: Path, completed: list[SimpleNamespace], tmp_path: Path):
+    """The one shape is a box of 4 x 1.6 x 1.5 m: what is 0.4 m longer is 0.1 or so from it, as far as samples tell."""
+    shapes, fewer = tmp_path / "shapes", tmp_path / "fewer"
+    for folder, names in ((shapes, ("car", "van")), (fewer, ("car",))):
+        folder.mkdir()
+        for name in names:
+            trimesh.creation.box(SIZE).export(folder / f"{name}__block.ply")
+    row = bench_kitti(tree, config=KittiConfig(rows=("gfpnet",), shapes=shapes))["rows"]["gfpnet"]
+    own = bench_kitti(tree, config=KittiConfig(rows=("gfpnet",)))["rows"]["gfpnet"]
+    assert row["mmd_m"] < 0.2 < own["mmd_m"]
+    with pytest.raises(InvalidOption, match="fewer holds no whole shape of van"):
+        bench_kitti(tree, config=KittiConfig(rows=("gfpnet",), shapes=fewer))
 
 
 def test_nonsense_is_refused(tree: Path):

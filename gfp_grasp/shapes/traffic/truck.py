@@ -63,8 +63,8 @@ def _plan(rng: np.random.Generator, kind: str) -> _Plan:
     cab = 1.45 + 0.3 * size + bonnet + float(crew) * rng.uniform(0.6, 1.0)
     cab_high = 2.1 + size * rng.uniform(0.4, 1.0) + (kind == "semi") * rng.uniform(0.0, 0.5)
     high = {
-        "box": min(rng.uniform(1.0, 1.65) * cab_high, 3.9),
-        "fire": rng.uniform(0.95, 1.3) * cab_high,
+        "box": rng.uniform(0.95, 1.35) * cab_high,
+        "fire": rng.uniform(0.9, 1.12) * cab_high,
         "semi": rng.uniform(3.5, 4.0),
         "tank": rng.uniform(0.9, 1.15) * cab_high,
     }.get(kind, cab_high)
