@@ -115,6 +115,19 @@ def test_whole_shapes_of_a_folder_are_matched_with(tree: Path, completed: list[S
         bench_kitti(tree, config=KittiConfig(rows=("gfpnet",), shapes=fewer))
 
 
+def test_a_whole_shape_in_the_box_tells_what_can_be_reached(tree: Path, tmp_path: Path):
+    """A side was seen; of a block in the box, half as long before it is stretched, most is far from it."""
+    shapes = tmp_path / "blocks"
+    shapes.mkdir()
+    for name in ("car", "van"):
+        trimesh.creation.box(SIZE * (0.5, 1, 1)).export(shapes / f"{name}__block.ply")
+    row = bench_kitti(tree, config=KittiConfig(rows=("whole-in-box",), shapes=shapes))["rows"]["whole-in-box"]
+    assert (row["refused"], row["class_right"]) == (0, 1.0)
+    assert row["consistency_m"] == 0.0
+    assert 0.4 < row["fidelity_m"] < 0.9
+    assert row["seen_m"] == pytest.approx(0.07, abs=0.03)
+
+
 def test_nonsense_is_refused(tree: Path):
     with pytest.raises(InvalidOption, match="rows are"):
         KittiConfig(rows=("magic",))

@@ -32,9 +32,9 @@ from gfp_grasp.train import street_of_kitti
 from gfp_grasp.transforms import apply_T, invert_T
 from gfp_grasp.types import LIDAR, Detection
 
-OURS, PARTIAL, DETECTED = "gfpnet", "partial", "gfpnet-detected"
+OURS, PARTIAL, DETECTED, WHOLE = "gfpnet", "partial", "gfpnet-detected", "whole-in-box"
 PAPER = ("told-pcrnet", "told-pcrnet-gfs", "told-pcrnet-gfpnet-paper")
-ROWS = (PARTIAL, *PAPER, UNDEFORMED, OURS, DETECTED)
+ROWS = (PARTIAL, WHOLE, *PAPER, UNDEFORMED, OURS, DETECTED)
 _SAMPLES = 4096
 _UP = np.array([0.0, 0.0, 1.0])
 _ABOUT_M = 0.2  # by which a label is grown for what a detection has in it
@@ -47,8 +47,9 @@ class KittiConfig:
     """What of a tree is measured.
 
     Attributes:
-        rows: Methods, some of ROWS; the paper's own, PAPER, are told the class, and DETECTED is told no box: it
-            completes what the detector finds in the whole scans.
+        rows: Methods, some of ROWS. The paper's own, PAPER, are told the class; DETECTED is told no box: it completes
+            what the detector finds in the whole scans; WHOLE is told class, box and heading, and gives the whole shape
+            of the class, stretched into the box, that lies nearest to what was seen: what a completion can reach.
         least_points: Things of fewer points are left out.
         frames: Consecutive scans of each track, about its middle.
         limit: Most scans; None reads all.
@@ -215,6 +216,9 @@ def _measured(thing: _Thing, row: str, shapes: Path | None) -> dict[str, Any]:
     seen: np.ndarray = apply_T(to_box, thing.points)
     if row == PARTIAL:
         surface, more = seen, {"named": thing.box.category}
+    elif row == WHOLE:
+        truth = seen if thing.truth is None else apply_T(to_box, thing.truth)
+        surface, more = _whole_in_box(truth, thing.box, shapes), {"named": thing.box.category}
     else:
         try:
             done = _completed(thing, row)
@@ -261,6 +265,15 @@ def _matching_m(surface: np.ndarray, category: str, folder: Path | None) -> floa
     centred = _on_ground(surface)
     turned = centred * (-1, -1, 1)
     return min(chamfer_m(way, whole) for whole in _whole_shapes(category, folder) for way in (centred, turned))
+
+
+def _whole_in_box(seen: np.ndarray, box: TrafficBox, folder: Path | None) -> np.ndarray:
+    """Of the whole shapes of a class, stretched into a box, the one that what was seen (n, 3) m lies nearest to."""
+    stretched = []
+    for shape in _whole_shapes(box.category, folder):
+        low, high = shape.min(axis=0), shape.max(axis=0)
+        stretched.append((shape - (low + high) / 2) * box.size_m / (high - low))
+    return min(stretched, key=lambda shape: float(KDTree(shape).query(seen)[0].mean()))
 
 
 @cache
