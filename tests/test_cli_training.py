@@ -10,7 +10,15 @@ import torch
 from recorded_calls import recorded, rows_of, run
 
 from gfp_grasp.primitives import BuildConfig, PrimitiveLibrary
-from gfp_grasp.train import GFPNET_CONFIGS, PCRNET_CONFIG, PEER_CONFIGS, ClassfreeConfig, OpenSetConfig, ProposalConfig
+from gfp_grasp.train import (
+    GFPNET_CONFIGS,
+    PCRNET_CONFIG,
+    PEER_CONFIGS,
+    ClassfreeConfig,
+    OpenSetConfig,
+    PointRCNNConfig,
+    ProposalConfig,
+)
 
 MADE = SimpleNamespace(vertices=[0] * 5, modes=[0] * 2, parts=[0] * 3, part_errors_m=((1, 1), (0.00123, 0.0046)))
 
@@ -25,7 +33,7 @@ def named_bars(monkeypatch: pytest.MonkeyPatch) -> list[str]:
             made.append(f"{self}: {total}")
             return names
 
-    monkeypatch.setattr("gfp_grasp.cli.training.track", Bar)
+    monkeypatch.setattr("gfp_grasp.cli.primitives.track", Bar)
     return made
 
 
@@ -248,6 +256,24 @@ def test_training_of_the_class_free_completion_hands_on_every_option(
         ((), {**default, "config": ClassfreeConfig(), "report": "report"}),
     ]
     assert bars == [("classfree", 7), ("classfree", ClassfreeConfig().steps)]
+    assert capsys.readouterr().out == "[b]card.json\n[b]card.json\n"
+
+
+def test_training_of_the_detector_of_scans_hands_on_every_option(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], bars: list[tuple[str, int]]
+) -> None:
+    train = recorded(monkeypatch, "gfp_grasp.train.train_pointrcnn", Path("[b]card.json"))
+    words = "--data kitti --file own.safetensors --steps 7 --streets 3 --runs elsewhere"
+    assert run(f"train pointrcnn {words} --device cuda --workers 2 --seed 5") == 0
+    assert run("train pointrcnn") == 0
+    config = PointRCNNConfig(seed=5, device="cuda", steps=7, streets=3)
+    given = {"data": Path("kitti"), "out": Path("own.safetensors"), "runs": Path("elsewhere"), "workers": 2}
+    default = {"data": None, "out": None, "runs": Path("runs"), "workers": 1}
+    assert train.calls == [
+        ((), {**given, "config": config, "report": "report"}),
+        ((), {**default, "config": PointRCNNConfig(), "report": "report"}),
+    ]
+    assert bars == [("pointrcnn", 7), ("pointrcnn", PointRCNNConfig().steps)]
     assert capsys.readouterr().out == "[b]card.json\n[b]card.json\n"
 
 

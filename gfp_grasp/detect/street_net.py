@@ -198,7 +198,7 @@ class StreetNet(nn.Module):
 
 def places_in(points: Tensor, corner: Tensor, shape: tuple[int, int]) -> Tensor:
     """Places (..., 2) from -1 to 1 of points (..., 3) m in a picture with that corner (..., 2) m."""
-    size = torch.tensor(shape, dtype=points.dtype) * CELL_M
+    size = points.new_tensor(shape) * CELL_M
     return 2 * (points[..., :2] - corner) / size - 1
 
 

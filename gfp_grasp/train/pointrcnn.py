@@ -34,7 +34,7 @@ from gfp_grasp.detect import (
     thinned,
 )
 from gfp_grasp.errors import InvalidOption
-from gfp_grasp.parallel import Progress, pmap
+from gfp_grasp.parallel import pmap
 from gfp_grasp.shapes import IN_STREETS
 from gfp_grasp.train.loop import Batch, LoopConfig, train, write_weights
 from gfp_grasp.train.street_data import StreetScan, read_street, render_street, street_of_kitti, write_street
@@ -44,7 +44,8 @@ _CROP = 256  # cells of a side of what is learnt from
 _POINTS = 5000  # of a crop
 _MOST_BOXES = 48
 _FEWEST_SEEN = 5  # points of a box that is to be found; what has fewer teaches nothing
-_PROPOSALS, _MOVED = 24, 12  # boxes of a crop that the second stage learns from: the first stage's, and true ones moved
+_LIKELIEST = 600  # points of a crop, whose boxes the first stage proposes to the second,
+_PROPOSALS, _MOVED = 24, 12  # the number of those that it learns from, and of true ones that are moved
 _UNSAID = -2  # what a point is that teaches nothing; -1 is of no thing
 _SURE_IOU = (0.25, 0.75)  # overlaps from which on a box is not quite wrong, and right
 _REFINED_IOU = 0.3
@@ -86,7 +87,6 @@ def train_pointrcnn(
     runs: Path = Path("runs"),
     workers: int = 1,
     report: Callable[[int, float], None] | None = None,
-    progress: Progress | None = None,
 ) -> Path:
     """Train, measure on held-out scans and write weights and card.
 
@@ -97,7 +97,6 @@ def train_pointrcnn(
         runs: Folder of scans and checkpoints.
         workers: Processes that render.
         report: Told the step and the loss.
-        progress: Progress of the rendering.
 
     Returns:
         Path of the card.
@@ -105,7 +104,7 @@ def train_pointrcnn(
     torch.manual_seed(config.seed)
     if data is None:
         render = partial(render_street, folder=runs / "streets")
-        paths = list(pmap(render, [("train", n) for n in range(config.streets)], workers=workers, progress=progress))
+        paths = list(pmap(render, [("train", n) for n in range(config.streets)], workers=workers))
         held_out = list(pmap(render, [("val", n) for n in range(_VAL_STREETS)], workers=workers))
     else:
         scans = enumerate(street_of_kitti(data))
@@ -175,32 +174,32 @@ def _second_loss(
     rng: np.random.Generator,
 ) -> Tensor:
     """The second stage's loss in one crop."""
-    known = (classes >= 0).numpy()
-    truth, names = boxes.numpy()[known].astype(np.float64), classes.numpy()[known]
-    best = torch.topk(score, min(600, len(score))).indices.numpy()
+    device, known = features.device, (classes >= 0).cpu().numpy()
+    truth, names = boxes.cpu().numpy()[known].astype(np.float64), classes.cpu().numpy()[known]
+    best = torch.topk(score, min(_LIKELIEST, len(score))).indices.cpu().numpy()
     best = rng.choice(best, min(_PROPOSALS, len(best)), replace=False)
-    rois = np.concatenate([found.numpy()[best].astype(np.float64), _moved(truth, rng)])
+    rois = np.concatenate([found.cpu().numpy()[best].astype(np.float64), _moved(truth, rng)])
     if not len(rois):
         return features.sum() * 0.0
     overlap = iou_from_above(rois, truth) if len(truth) else np.zeros((len(rois), 1))
     which, iou = overlap.argmax(axis=1), overlap.max(axis=1)
-    index, mask, told = pool(points.numpy(), rois, rng)
+    index, mask, told = pool(points.cpu().numpy(), rois, rng)
     some = mask.any(axis=1)
     rois, which, iou, index, mask, told = (part[some] for part in (rois, which, iou, index, mask, told))
     if not len(rois):
         return features.sum() * 0.0
-    pooled = torch.cat([features[torch.from_numpy(index)], torch.from_numpy(told)], dim=-1)
-    start = torch.from_numpy(rois.astype(np.float32))
-    sure, odds, moves = network.second(pooled, torch.from_numpy(mask), start[:, 3:6])
+    pooled = torch.cat([features[torch.from_numpy(index)], torch.from_numpy(told).to(device)], dim=-1)
+    start = torch.from_numpy(rois.astype(np.float32)).to(device)
+    sure, odds, moves = network.second(pooled, torch.from_numpy(mask).to(device), start[:, 3:6])
     low, high = _SURE_IOU
-    wanted = torch.from_numpy(np.clip((iou - low) / (high - low), 0, 1).astype(np.float32))
+    wanted = torch.from_numpy(np.clip((iou - low) / (high - low), 0, 1).astype(np.float32)).to(device)
     total = functional.binary_cross_entropy_with_logits(sure, wanted)
     good = iou > _REFINED_IOU
     if good.any():
-        own = torch.from_numpy(truth[which[good]].astype(np.float32))
-        chosen = torch.from_numpy(good)
+        own = torch.from_numpy(truth[which[good]].astype(np.float32)).to(device)
+        chosen = torch.from_numpy(good).to(device)
         total = total + refined_loss(moves[chosen], start[chosen], own) / 2
-        total = total + functional.cross_entropy(odds[chosen], torch.from_numpy(names[which[good]])) / 2
+        total = total + functional.cross_entropy(odds[chosen], torch.from_numpy(names[which[good]]).to(device)) / 2
     return total
 
 
@@ -219,7 +218,7 @@ def _moved(truth: np.ndarray, rng: np.random.Generator) -> np.ndarray:
 
 def _by_thing(things: Tensor) -> Tensor:
     """Weight (b, p) of each point: a near thing has more points than a far one, but is not worth as much more."""
-    weights = torch.zeros(things.shape)
+    weights = torch.zeros_like(things, dtype=torch.float32)
     for own, out in zip(things, weights, strict=True):
         counts = torch.bincount(own.clamp(min=0)[own >= 0], minlength=_MOST_BOXES).float().clamp(min=1)
         out[own >= 0] = 1 / counts[own[own >= 0]].sqrt()
