@@ -213,15 +213,33 @@ def demo(
     capture: Annotated[
         list[Path] | None, typer.Option(help="Your own .npz capture, or sample; may be repeated.")
     ] = None,
+    street: Annotated[
+        bool,
+        typer.Option(
+            "--street", help="Instead: the LiDAR scan of a street that ships; your recordings are such scans."
+        ),
+    ] = False,
     category: Annotated[str | None, typer.Option(help="Class of the object in your recordings.")] = None,
     folders: Gps = None,
     seed: Seed = 0,
 ) -> None:
-    """Complete and grasp objects of a clutter and a single one, or of your own recordings, and show it in a page."""
+    """Complete and grasp objects of a clutter, a single one and a room, or of your recordings, and show it in a page."""
     from gfp_grasp.demo import run_demo  # loads simulator and networks, which --help does without
 
     recordings = (*(cloud or ()), *(capture or ()))
-    run_demo(folder, recordings=recordings, category=category, config=_config(folders), seed=seed, console=out)
+    if street and category is not None:
+        raise InvalidOption(
+            "--category is the class of one object, and --street completes all of a scan: give one of them"
+        )
+    run_demo(
+        folder,
+        recordings=recordings,
+        street=street,
+        category=category,
+        config=_config(folders),
+        seed=seed,
+        console=out,
+    )
 
 
 def view(
