@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -128,6 +129,7 @@ def _recorded_jobs(
 
 def _street_jobs(scans: tuple[Path, ...], out: Path, config: CompleteConfig | None, seed: int) -> list[tuple[str, Job]]:
     captures = [(read_capture(path), path) for path in scans]
+    captures = [(replace(one, name="A street") if str(path) == STREET else one, path) for one, path in captures]
     scene = partial(street_scene, config=config, seed=seed)
     return [(capture.name, partial(scene, capture, folder=out / path.stem)) for capture, path in captures]
 

@@ -27,7 +27,15 @@ from gfp_grasp.drawing.pictures import (
     write_clip,
     write_depth,
 )
-from gfp_grasp.drawing.scans import ClassColours, draw_scan, height_greys, level_frame_of, paled, scan_points
+from gfp_grasp.drawing.scans import (
+    ClassColours,
+    draw_scan,
+    first_look,
+    height_greys,
+    level_frame_of,
+    paled,
+    scan_points,
+)
 
 __all__ = [
     "ClassColours",
@@ -40,6 +48,7 @@ __all__ = [
     "escaped",
     "every_nth",
     "filmed_trial",
+    "first_look",
     "gripper_mesh",
     "height_greys",
     "html_page",

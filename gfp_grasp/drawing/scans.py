@@ -17,8 +17,10 @@ from gfp_grasp.types import RangeImage
 
 # Blue, red, green, amber, violet, teal, pink, brown: apart from each other in hue, and each deep enough to be paled.
 _CLASS_RGB = np.array(
-    [(38, 98, 176), (196, 58, 48), (44, 134, 82), (214, 128, 18), (118, 72, 160), (20, 132, 144), (196, 70, 130)]
-    + [(124, 88, 58)],
+    [
+        *((38, 98, 176), (196, 58, 48), (44, 134, 82), (214, 128, 18)),
+        *((118, 72, 160), (20, 132, 144), (196, 70, 130), (124, 88, 58)),
+    ],
     dtype=np.uint8,
 )
 _PALED = 0.62  # share of white in what was guessed
@@ -94,6 +96,12 @@ def scan_points(scene: CompletedScene) -> np.ndarray:
         if completion.detection.mask is not None:
             rest = rest & ~completion.detection.mask
     return scene.view.points()[rest]
+
+
+def first_look(scene: CompletedScene) -> tuple[np.ndarray, np.ndarray]:
+    """Eye (3,) and aim (3,) m, in the scan's frame, of a look from behind, right and above of the sensor."""
+    eye, aim = apply_T(invert_T(level_frame_of(scene)), np.stack([_EYE_M, _AIM_M]))
+    return eye, aim
 
 
 def draw_scan(scene: CompletedScene, *, width: int = 1600, height: int = 860) -> np.ndarray:
