@@ -32,8 +32,8 @@ can be seen from outside or through an opening; F is the F-score at 5 mm; a ques
 unknown. Fit is the trimmed mean distance of the points to the fitted primitive, before it is deformed. The number
 beside a class is its probability."""
 _STREET_LEAD = """A LiDAR sees the near side of what stands about it. Vehicles and people were found in the scan, and
-the whole shape of each was completed from a primitive of its class. The meshes are watertight, in metres, in the frame of
-the scan, and come with convex parts for a simulator."""
+the whole shape of each was completed from a primitive of its class. The meshes are watertight, in metres, in the scan's
+frame, and come with convex parts for a simulator."""
 _STREET_FOOT = """Distance is that of an object's middle from the sensor; size is length, width and height; guessed is
 the share of its vertices that nobody saw. The number beside a class is its probability."""
 

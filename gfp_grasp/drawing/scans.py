@@ -81,11 +81,24 @@ def level_frame_of(scene: CompletedScene) -> np.ndarray:
     assert isinstance(scene.view, RangeImage)
     R = rotation_between(scene.up, (0.0, 0.0, 1.0))
     place = R @ scene.view.viewpoint
-    height_m = place[2] if scene.support is None else scene.support.height_m
+    height_m = place[2] - _height_over_road(scene)
     forward = R @ scene.view.T_world_sensor[:3, 0]
     yaw = np.arctan2(forward[1], forward[0])
     turn = np.array([[np.cos(yaw), np.sin(yaw), 0.0], [-np.sin(yaw), np.cos(yaw), 0.0], [0.0, 0.0, 1.0]])
     return make_T(turn @ R, -turn @ np.array([place[0], place[1], height_m]))
+
+
+def _height_over_road(scene: CompletedScene) -> float:
+    """Of the sensor, m; the road is taken to go on as it is below the nearest object."""
+    place, up = scene.view.viewpoint, scene.up
+    assert place is not None
+    known = [one for one in scene if one.detection.support is not None]
+    if not known:
+        return 0.0
+    nearest = min(known, key=lambda one: float(np.linalg.norm(one.detection.cloud.points.mean(axis=0) - place)))
+    support = nearest.detection.support
+    assert support is not None
+    return float(support.distances(place[None])[0] / (support.normal @ up))
 
 
 def scan_points(scene: CompletedScene) -> np.ndarray:
