@@ -279,7 +279,7 @@ function fillScan(frame, scan, night) {
   for (let i = 0; i < s.length; i += 3) {
     const depth = s[i + 2];
     if (depth === 0) continue;
-    const grey = night ? 255 - scan.grey[i / 3] : scan.grey[i / 3], paint = 0xff000000 | (grey << 16) | (grey << 8) | grey;
+    const grey = night ? 300 - scan.grey[i / 3] : scan.grey[i / 3], paint = 0xff000000 | (grey << 16) | (grey << 8) | grey;
     const left = Math.round(s[i]), top = Math.round(s[i + 1]);
     for (let y = Math.max(0, top); y < Math.min(h, top + size); y++) {
       for (let x = Math.max(0, left); x < Math.min(w, left + size); x++) {
