@@ -29,7 +29,7 @@ def picture(scene: CompletedScene) -> np.ndarray:
 def pixel_of(scene: CompletedScene, point: np.ndarray) -> tuple[int, int]:
     """Row and column of a point (3,) m."""
     local = apply_T(invert_T(look_at(*first_look(scene))), point[None])[0]
-    u, v, _ = intrinsics(WIDTH, HEIGHT, 34.0) @ local / local[2]
+    u, v, _ = intrinsics(WIDTH, HEIGHT, 36.0) @ local / local[2]
     return round(v), round(u)
 
 

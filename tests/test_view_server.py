@@ -105,7 +105,7 @@ def test_a_street_is_first_looked_at_from_behind_and_above_of_the_sensor() -> No
     camera = toy_of(viewer).initial_camera
     assert camera.position[0] < -20
     assert camera.position[2] > 15
-    np.testing.assert_allclose(camera.look_at, (4.5, -0.6, ROAD_M))
+    np.testing.assert_allclose(camera.look_at, (-0.4, 1.0, ROAD_M))
     assert not viewer.panels.slider.visible  # no gripper takes hold of a car
 
 

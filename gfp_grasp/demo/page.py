@@ -23,7 +23,7 @@ _MEDIA_TYPES = {".png": "image/png", ".gif": "image/gif", ".jpg": "image/jpeg"}
 # Of a scan: more points make turning slow; whole centimetres are finer than its noise.
 _MAX_SCAN, _CM = 60_000, 100
 # The first look at a street: from behind and right of the sensor, as far away as this radius needs.
-_LOOK_AT, _LOOK_RADIUS_M, _LOOK_AZIMUTH_RAD = (4.5, -0.6, 0.0), 15.0, -2.74
+_LOOK_AT, _LOOK_RADIUS_M, _LOOK_AZIMUTH_RAD = (-0.4, 1.0, 0.0), 17.5, -2.77
 _LEAD = """Each object below was seen from one side only. A primitive of its class was fitted and deformed to the
 points. The mesh is watertight, in metres, and comes with convex parts for a simulator. The best grasp planned on it was
 tried in MuJoCo: on the true object where there is one, on the completed parts elsewhere."""

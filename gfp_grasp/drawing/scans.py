@@ -30,10 +30,10 @@ _PAPER = np.array([250.0, 250.0, 248.0])
 _SHADOW = 0.86  # brightness of the ground in an object's shadow
 _SUN = np.array([-0.38, 0.55, 0.95]) / np.linalg.norm([-0.38, 0.55, 0.95])  # level frame
 _AMBIENT, _LIT = 0.62, 0.46
-_SUPERSAMPLE, _FOV_DEG = 2, 34.0
+_SUPERSAMPLE, _FOV_DEG = 2, 36.0
 _EYE_M, _AIM_M = (
-    np.array([-31.0, -15.0, 20.0]),
-    np.array([4.5, -0.6, 0.0]),
+    np.array([-36.0, -13.0, 21.5]),
+    np.array([-0.4, 1.0, 0.0]),
 )  # from the place on the road under the sensor
 _POINT_M, _POINT_PX = 0.035, (1, 5)  # size of a point, and its limits before shrinking
 _FADE_M = (40.0, 110.0)  # distance to the eye over which points pale away
