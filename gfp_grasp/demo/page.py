@@ -20,7 +20,7 @@ from gfp_grasp.transforms import apply_T, make_T, rotation_between
 _MAX_POINTS = 900
 _ASIDE_RAD = 0.7
 _MEDIA_TYPES = {".png": "image/png", ".gif": "image/gif", ".jpg": "image/jpeg"}
-# Of a scan: more points make turning slow; whole centimetres are finer than its noise.
+# More points of a scan make turning slow; whole centimetres are finer than its noise.
 _MAX_SCAN, _CM = 60_000, 100
 # The first look at a street: from behind and right of the sensor, as far away as this radius needs.
 _LOOK_AT, _LOOK_RADIUS_M, _LOOK_AZIMUTH_RAD = (-0.4, 1.0, 0.0), 17.5, -2.77

@@ -89,7 +89,7 @@ def level_frame_of(scene: CompletedScene) -> np.ndarray:
 
 
 def _height_over_road(scene: CompletedScene) -> float:
-    """Of the sensor, m; the road is taken to go on as it is below the nearest object."""
+    """Height of the sensor, m; the road is taken to go on as it is below the nearest object."""
     place, up = scene.view.viewpoint, scene.up
     assert place is not None
     known = [one for one in scene if one.detection.support is not None]
