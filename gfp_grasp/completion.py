@@ -259,7 +259,11 @@ class CompletedScene(Sequence[Completion]):
 
     @property
     def up(self) -> np.ndarray:
-        """(3,) normal of what the objects stand on; z where nothing is known of it."""
+        """(3,) normal of what the objects stand on, a road's mean under them; z where nothing is known of it."""
+        if isinstance(self.view, RangeImage):
+            normals = [one.detection.support.normal for one in self.completions if one.detection.support is not None]
+            if normals:
+                return np.sum(normals, axis=0) / np.linalg.norm(np.sum(normals, axis=0))
         if self.support is not None:
             return self.support.normal
         return self.completions[0].detection.up if self.completions else np.array([0.0, 0.0, 1.0])
@@ -268,6 +272,9 @@ class CompletedScene(Sequence[Completion]):
         self, path: str | Path, *, assets: Literal["embedded", "files"] = "embedded", contact: bool = True
     ) -> Path:
         """Write all objects into one file; the suffix chooses: .xml (MJCF), .urdf, .glb, and .obj .ply .stl (one mesh).
+
+        In .xml the objects of a LiDAR's scan stand on the road as it is below each: on a floor that touches its lowest
+        place, or on slabs `<name>_road` above that.
 
         Args:
             path: Where to; folders are made.
@@ -280,10 +287,13 @@ class CompletedScene(Sequence[Completion]):
         Raises:
             InvalidOption: Another suffix; the message lists these.
         """
-        from gfp_grasp.export import export_bodies
+        from gfp_grasp.export import export_bodies, roads_under
 
+        bodies, slabs = self.bodies(), ()
         floor_m = None if self.support is None else self.support.height_m
-        return export_bodies(self.bodies(), path, up=self.up, floor_m=floor_m, assets=assets, contact=contact)
+        if isinstance(self.view, RangeImage):
+            slabs, floor_m = roads_under(bodies, [one.detection.support for one in self.completions], self.up)
+        return export_bodies(bodies, path, up=self.up, floor_m=floor_m, slabs=slabs, assets=assets, contact=contact)
 
     def add_to(self, spec: Any, prefix: str = "", *, contact: bool = True) -> tuple[str, ...]:
         """Add all objects to a mujoco.MjSpec as free bodies and return their names; see `Completion.add_to`."""

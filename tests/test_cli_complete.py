@@ -280,8 +280,20 @@ def test_demo_hands_on_every_option(monkeypatch: pytest.MonkeyPatch, tmp_path: P
     assert named.pop("console") is defaults.pop("console")
     config = CompleteConfig(library=PrimitiveLibrary.with_shipped(tmp_path))
     recordings = (Path("a.ply"), Path("b.ply"), Path("c.npz"))
-    assert named == {"recordings": recordings, "category": "mug", "config": config, "seed": 4}
-    assert defaults == {"recordings": (), "category": None, "config": CompleteConfig(), "seed": 0}
+    assert named == {"recordings": recordings, "street": False, "category": "mug", "config": config, "seed": 4}
+    assert defaults == {"recordings": (), "street": False, "category": None, "config": CompleteConfig(), "seed": 0}
+
+
+def test_demo_of_a_street_takes_scans_and_no_class(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    demo = recorded(monkeypatch, "gfp_grasp.demo.run_demo")
+    assert run("demo --street --capture a.bin") == 0
+    assert demo.only[1]["street"]
+    assert demo.only[1]["recordings"] == (Path("a.bin"),)
+    assert run("demo --street --category car") == 2
+    assert "--category" in capsys.readouterr().err
+    assert len(demo.calls) == 1
 
 
 class FakeViewer:
@@ -309,9 +321,12 @@ def test_view_of_a_capture_hands_on_every_option_and_ends_without_an_error(
     viewer = FakeViewer()
     view = recorded(monkeypatch, "gfp_grasp.view.view_capture", viewer)
     browser = recorded(monkeypatch, "webbrowser.open")
-    assert run("view own.npz --category mug --host 0.0.0.0 --port 81 --browser --seed 4 --gps", tmp_path) == 0
+    assert (
+        run("view own.npz --category mug --sensor lidar --host 0.0.0.0 --port 81 --browser --seed 4 --gps", tmp_path)
+        == 0
+    )
     config = CompleteConfig(library=PrimitiveLibrary.with_shipped(tmp_path))
-    received = {"category": "mug", "config": config, "seed": 4, "host": "0.0.0.0", "port": 81}
+    received = {"category": "mug", "sensor": "lidar", "config": config, "seed": 4, "host": "0.0.0.0", "port": 81}
     assert view.only == ((Path("own.npz"),), received)
     assert viewer.done == ["waited", "stopped"]
     assert browser.only == ((viewer.url,), {})
@@ -322,7 +337,8 @@ def test_view_shows_the_sample_and_opens_no_browser_where_nothing_is_said(monkey
     view = recorded(monkeypatch, "gfp_grasp.view.view_capture", FakeViewer())
     browser = recorded(monkeypatch, "webbrowser.open")
     assert run("view") == 0
-    received = {"category": None, "config": CompleteConfig(), "seed": 0, "host": "127.0.0.1", "port": 8080}
+    received = {"category": None, "sensor": "tabletop", "config": CompleteConfig(), "seed": 0}
+    received |= {"host": "127.0.0.1", "port": 8080}
     assert view.only == (("sample",), received)
     assert not browser.calls
 
@@ -333,7 +349,7 @@ def test_view_of_objects_hands_on_every_option(monkeypatch: pytest.MonkeyPatch, 
     assert view.only == (("cup",), {"gps": str(tmp_path), "seed": 4, "host": "::1", "port": 0})
 
 
-@pytest.mark.parametrize("other", ["own.npz", "--category mug"])
+@pytest.mark.parametrize("other", ["own.npz", "--category mug", "--sensor lidar"])
 def test_view_takes_objects_or_a_capture(
     other: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -18,6 +18,7 @@ RUNS = {
     "05_score_your_completer": (("1",), "beside oracle", ("score.json",)),
     "06_add_a_class": (("6",), "urn", ("my_gps/urn.json", "urn.glb")),
     "07_train": (("2",), "", ("pcrnet.safetensors",)),
+    "08_a_street": ((), "vehicles stand still in street.xml", ("street.xml", "street.glb")),
 }
 
 

@@ -11,6 +11,7 @@ import pytest
 import trimesh
 from recorded_calls import Recorder, recorded
 from toy_completions import toy_completion, toy_grasps, toy_image
+from toy_street import toy_street
 
 import gfp_grasp
 from gfp_grasp.captures import Capture
@@ -210,6 +211,32 @@ def test_a_network_is_trained_for_a_few_steps(
     run(monkeypatch, "07_train", *words)
     line = f"train pcrnet --steps {steps} --limit 4 --views 1 --runs runs --file pcrnet.safetensors"
     assert command.only == ((line.split(),), {})
+
+
+@pytest.mark.parametrize(("words", "seed"), [((), 4), (("5",), 5)])
+def test_a_street_becomes_a_scene_of_its_vehicles_that_stand(
+    words: tuple[str, ...],
+    seed: int,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    empty_folder: Path,
+) -> None:
+    made = toy_street()
+    drawn = recorded(monkeypatch, "gfp_grasp.scenes.streets.draw_street", SimpleNamespace(things=range(5)))
+    scanned = recorded(monkeypatch, "gfp_grasp.scenes.streets.scan_street", (made.view, None))
+    complete = recorded(monkeypatch, "gfp_grasp.complete.complete_scene", made)
+    names = run(monkeypatch, "08_a_street", *words)
+    (rng,), options = drawn.only
+    assert rng.bit_generator.state == np.random.default_rng(seed).bit_generator.state
+    assert options == {"num_things": 10, "split": "test"}
+    assert scanned.only[0][1] is rng
+    assert complete.only == ((made.view,), {})
+    assert names["vehicles"].names == ("car", "car_2")  # the pedestrian is none
+    told = capsys.readouterr().out.splitlines()
+    assert told[0] == "5 things in the street, 3 found, 2 of them vehicles"
+    assert told[1].startswith("car: 10 m away, seen 4.0 x 1.8 x 1.6 m, ")
+    assert told[-1] == "2 of 2 vehicles stand still in street.xml"
+    assert (empty_folder / "street.glb").is_file()
 
 
 def test_names_of_the_package_come_from_their_rooms_and_the_environment_is_registered() -> None:

@@ -10,6 +10,7 @@ from scipy.spatial import Delaunay
 from toy_bodies import l_body, refined
 from toy_wedge import toy_evidence
 
+from gfp_grasp.deform.shape import _stood_again
 from gfp_grasp.deform.standing import _centre_of_mass, _margin_m, stand_on, stood
 from gfp_grasp.transforms import rotation_about
 from gfp_grasp.types import TABLETOP
@@ -202,3 +203,37 @@ def test_a_margin_is_the_way_to_the_nearest_edge():
         assert _margin_m(ground, AWAY[:2] + place) == pytest.approx(margin_m)
     for too_few in (ground[:0], ground[:1], ground[:2], np.linspace(ground[0], ground[2], 5)):
         assert _margin_m(too_few, ground[0]) == -np.inf
+
+
+def on_four_legs() -> Arrays:
+    """A table of 2 by 1 m on four legs, one of which is 40 mm short and 50 mm to the side of the centre of mass."""
+    top = trimesh.creation.box(bounds=[[-1.05, -0.5, 0.2], [0.95, 0.5, 0.7]])
+    legs = [
+        trimesh.creation.box(bounds=[[x - 0.1, y - 0.1, 0.04 * (x > 0 and y > 0)], [x + 0.1, y + 0.1, 0.2]])
+        for x in (-0.8, 0.8)
+        for y in (-0.4, 0.4)
+    ]
+    together = trimesh.util.concatenate([top, *legs])
+    assert isinstance(together, trimesh.Trimesh)
+    return np.asarray(together.vertices), np.asarray(together.faces)
+
+
+def test_a_foot_grows_until_the_centre_of_mass_lies_as_far_within_it_as_is_asked_for():
+    vertices, faces = on_four_legs()
+    bottom = vertices[:, 2] < 0.05
+    three = stand_on(vertices, faces, 0.0, sigma_m=0.02)
+    assert three[bottom, 2].max() == pytest.approx(0.04)
+    four = stand_on(vertices, faces, 0.0, sigma_m=0.02, margin_m=0.2)
+    np.testing.assert_array_equal(four[bottom, 2], 0.0)
+    feet = four[four[:, 2] < 1e-9, :2]
+    assert _margin_m(feet, _centre_of_mass(four, faces)[:2]) > 0.2
+
+
+def test_what_the_damping_left_above_the_support_is_brought_down_where_it_is_little_for_the_body(monkeypatch):
+    vertices, faces = arrays(l_body(), lift_m=0.0)
+    size_m = np.ptp(vertices, axis=0).max()
+    view = toy_evidence(vertices, floor_seen=True)
+    for missing_m, brought in ((0.02 * size_m, True), (0.04 * size_m, False)):
+        lifted = vertices + np.array([0.0, 0.0, missing_m])
+        monkeypatch.setattr("gfp_grasp.deform.shape.stood", lambda *_: vertices)
+        np.testing.assert_allclose(_stood_again(lifted, faces, view), vertices if brought else lifted, atol=1e-12)

@@ -100,7 +100,7 @@ def test_scale_ends_at_a_round_number_that_covers_nearly_all() -> None:
     sigma = np.linspace(0.0, 0.0038, 1000)
     assert scale_end_mm([sigma, sigma]) == 4.0
     assert scale_end_mm([]) == 1.0
-    assert scale_end_mm([np.array([9.0])]) == 100.0
+    assert scale_end_mm([np.array([9.0])]) == 500.0
     for word in ("0 mm", "2 mm", "4 mm and more"):
         assert f">{word}<" in scale_legend(4.0)
 

@@ -7,8 +7,9 @@ import pytest
 import trimesh
 from toy_completions import EXTENTS, toy_completion, toy_fit, toy_image, toy_item
 from toy_server import ToyServer
+from toy_street import toy_street
 
-from gfp_grasp.drawing import Item, apart, gripper_mesh
+from gfp_grasp.drawing import ClassColours, Item, apart, gripper_mesh, scan_points
 from gfp_grasp.transforms import quat_wxyz, rotation_about, rotation_between
 from gfp_grasp.types import SupportPlane
 from gfp_grasp.view.layers import (
@@ -19,6 +20,7 @@ from gfp_grasp.view.layers import (
     scale_end_mm,
     scale_stops,
 )
+from gfp_grasp.view.panels import surface_legend
 from gfp_grasp.view.scene import ShownScene
 
 UP = np.array([0.0, 0.0, 1.0])
@@ -100,6 +102,24 @@ def test_grasps_are_open_grippers_the_best_one_green() -> None:
     assert opacities[:3] == pytest.approx([0.85, 0.45, 0.36])
     assert opacities[-2:] == pytest.approx([0.45 * 0.8**5, 0.12])
     assert grasp_colour(15) == ((110, 116, 124), 0.12)
+
+
+def test_a_street_has_the_colours_of_its_classes_grey_points_and_no_grid() -> None:
+    street = toy_street()
+    items = [Item(name, completion) for name, completion in zip(street.names, street, strict=True)]
+    layers, nodes = drawn(scene(*items, street=street))
+    colours = ClassColours.of(["car", "car", "pedestrian"])
+    for number, completion in enumerate(street):
+        shown = nodes[f"/objects/{number}/mesh"].arguments[1].visual.vertex_colors[:, :3]
+        np.testing.assert_array_equal(shown, colours.of_vertices(completion.category, completion.observed))
+    _, points, greys = nodes["/scene/points"].arguments
+    np.testing.assert_array_equal(points, scan_points(street))
+    assert (greys == greys[:, :1]).all()
+    assert nodes["/scene/points"].named["point_size"] == pytest.approx(25 * 0.0014)
+    assert "/scene/grid" not in nodes
+    assert layers.colours is not None
+    assert "pedestrian" in surface_legend(layers.colours)
+    assert "guessed" in surface_legend(layers.colours)
 
 
 def test_points_are_small_and_those_of_an_object_are_thinned() -> None:
@@ -203,9 +223,9 @@ def test_scale_s_stops_are_those_of_viridis() -> None:
     assert tuple(f"#{row}" for row in rows) == scale_stops()
 
 
-@pytest.mark.parametrize("end", [1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 10.0, 15.0, 20.0, 30.0, 50.0, 100.0])
+@pytest.mark.parametrize("end", [1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 10.0, 15.0, 20.0, 30.0, 50.0, 100.0, 200.0, 500.0])
 def test_ends_of_the_scale_are_round(end: float) -> None:
     assert scale_end_mm([np.full(5, 0.00099 * end), np.array([])]) == end
     few = np.concatenate([np.full(96, 0.0009 * end), np.full(4, 1.0)])
     many = np.concatenate([np.full(94, 0.0009 * end), np.full(6, 1.0)])
-    assert (scale_end_mm([few]), scale_end_mm([many])) == (end, 100.0)
+    assert (scale_end_mm([few]), scale_end_mm([many])) == (end, 500.0)

@@ -9,6 +9,7 @@ import pytest
 import trimesh
 from recorded_calls import recorded
 from toy_completions import toy_completion, toy_image, toy_item
+from toy_street import toy_street
 
 from gfp_grasp.captures import Capture
 from gfp_grasp.complete import CompleteConfig
@@ -36,14 +37,31 @@ def test_a_recording_is_completed_and_planned_with_every_option_and_its_warnings
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
         shown = scene_of_capture(capture, category="mug", config=config, seed=7)
-    assert calls == [((capture,), {"category": "mug", "config": config, "seed": 7})]
+    assert calls == [
+        ((capture,), {"category": "mug", "detector": None, "sensor": "tabletop", "config": config, "seed": 7})
+    ]
     assert plan.only == ((completions, truth), {"seed": 7})
     assert (shown.title, shown.items, shown.image, shown.truths) == ("own", items, capture.view, (truth,))
     np.testing.assert_array_equal(shown.up, up)
     assert (shown.notes, shown.facts) == (("UserWarning", "RuntimeWarning"), ())
     scene_of_capture(capture)
-    assert calls[1][1] == {"category": None, "config": None, "seed": 0}
+    assert calls[1][1] == {"category": None, "detector": None, "sensor": "tabletop", "config": None, "seed": 0}
     assert plan.calls[1][1] == {"seed": 0}
+
+
+def test_a_scan_s_objects_have_names_and_no_grasps_are_planned_on_them(monkeypatch: pytest.MonkeyPatch) -> None:
+    street = toy_street()
+    recorded(monkeypatch, "gfp_grasp.view.scene.complete_capture", street)
+    plan = recorded(monkeypatch, "gfp_grasp.view.scene.items_of", ())
+    shown = scene_of_capture(Capture("scan.bin", points=np.eye(3)), sensor="lidar")
+    assert [item.name for item in shown.items] == ["car", "car_2", "pedestrian"]
+    assert shown.street is street
+    assert shown.in_traffic
+    assert not plan.calls
+    recorded(monkeypatch, "gfp_grasp.view.scene.complete_capture", (street[2],))
+    single = scene_of_capture(Capture("one.bin", points=np.eye(3)), sensor="lidar")
+    assert [item.name for item in single.items] == ["pedestrian"]
+    assert (single.street, single.in_traffic) == (None, True)
 
 
 @pytest.mark.parametrize("completed", [True, False])

@@ -9,6 +9,7 @@ import pytest
 from recorded_calls import recorded
 from toy_completions import toy_completion, toy_image, toy_item
 from toy_server import ToyServer, put_toy_in_place_of_viser
+from toy_street import ROAD_M, toy_street
 
 from gfp_grasp.captures import Capture
 from gfp_grasp.complete import CompleteConfig
@@ -68,17 +69,44 @@ def test_recording_is_shown_with_every_option(monkeypatch: pytest.MonkeyPatch) -
     read = recorded(monkeypatch, "gfp_grasp.view.server.read_capture", capture)
     complete = recorded(monkeypatch, "gfp_grasp.view.server.scene_of_capture", scene(toy_item()))
     config = CompleteConfig(rival_share=0.5)
-    viewer = view_capture("own.npz", category="mug", config=config, seed=7, host="localhost", port=0)
+    viewer = view_capture(
+        "own.npz",
+        category="mug",
+        detector="own:find",
+        sensor="lidar",
+        config=config,
+        seed=7,
+        host="localhost",
+        port=0,
+    )
     assert read.only == (("own.npz",), {})
-    assert complete.only == ((capture,), {"category": "mug", "config": config, "seed": 7})
+    assert complete.only == (
+        (capture,),
+        {"category": "mug", "detector": "own:find", "sensor": "lidar", "config": config, "seed": 7},
+    )
     assert toy_of(viewer).started_with == {"host": "localhost", "port": 0, "label": "own", "verbose": False}
     assert viewer.layers is not None
     assert viewer.panels.layers is viewer.layers
     view_capture(capture, port=0)
     assert len(read.calls) == 1
-    assert complete.calls[1] == ((capture,), {"category": None, "config": None, "seed": 0})
+    assert complete.calls[1] == (
+        (capture,),
+        {"category": None, "detector": None, "sensor": "tabletop", "config": None, "seed": 0},
+    )
     view_capture(port=0)
     assert read.calls[1] == (("sample",), {})
+
+
+def test_a_street_is_first_looked_at_from_behind_and_above_of_the_sensor() -> None:
+    street = toy_street()
+    items = tuple(Item(name, completion) for name, completion in zip(street.names, street, strict=True))
+    viewer = Viewer("title", port=0)
+    viewer.show(scene(*items, street=street))
+    camera = toy_of(viewer).initial_camera
+    assert camera.position[0] < -20
+    assert camera.position[2] > 15
+    np.testing.assert_allclose(camera.look_at, (-0.4, 1.0, ROAD_M))
+    assert not viewer.panels.slider.visible  # no gripper takes hold of a car
 
 
 def test_the_next_scene_takes_the_place_of_the_one_before() -> None:

@@ -24,7 +24,8 @@ from gfp_grasp.transforms import apply_T, invert_T
 
 _T = TypeVar("_T")
 
-SAMPLE, SAMPLE_FILE = "sample", "quickstart.npz"
+SAMPLE_FILE, STREET_FILE = "quickstart.npz", "street.npz"
+SHIPPED = {"sample": SAMPLE_FILE, "street": STREET_FILE}  # names of what ships
 SUFFIXES = (".npz", ".npy", ".bin", ".ply", ".pcd", ".xyz", ".pts", ".txt", ".csv", ".obj")
 
 
@@ -52,7 +53,7 @@ def read_capture(path: str | Path) -> Capture:
     is organised, and its VIEWPOINT is where the camera stood. A fourth column of points is an intensity, and left out.
 
     Args:
-        path: One of SUFFIXES; or "sample", the capture that ships with the package.
+        path: One of SUFFIXES; or what ships with the package: "sample", a capture, or "street", a whole LiDAR scan.
 
     Returns:
         The recording; of a plain cloud the viewpoint is unknown.
@@ -62,7 +63,7 @@ def read_capture(path: str | Path) -> Capture:
         InvalidCloud: It reads, but holds no points.
         InvalidView: Picture, intrinsics, pose or mask do not fit each other.
     """
-    path = data_file("sim_scenes", SAMPLE_FILE) if str(path) == SAMPLE else Path(path)
+    path = data_file("sim_scenes", SHIPPED[str(path)]) if str(path) in SHIPPED else Path(path)
     suffix = path.suffix.lower()
     if suffix not in SUFFIXES:
         pictures = (

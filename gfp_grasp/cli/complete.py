@@ -37,7 +37,7 @@ def complete(
     cloud: Annotated[
         Path | None,
         typer.Argument(
-            help="Cloud, LiDAR scan (.bin, .pcd, .npz ...) or .npz capture, metres; sample is one that ships; left out "
+            help="Cloud, LiDAR scan (.bin, .pcd, .npz ...) or .npz capture, metres; sample and street ship; left out "
             "with --depth."
         ),
     ] = None,
@@ -213,20 +213,39 @@ def demo(
     capture: Annotated[
         list[Path] | None, typer.Option(help="Your own .npz capture, or sample; may be repeated.")
     ] = None,
+    street: Annotated[
+        bool,
+        typer.Option(
+            "--street", help="Instead: the LiDAR scan of a street that ships; your recordings are such scans."
+        ),
+    ] = False,
     category: Annotated[str | None, typer.Option(help="Class of the object in your recordings.")] = None,
     folders: Gps = None,
     seed: Seed = 0,
 ) -> None:
-    """Complete and grasp objects of a clutter and a single one, or of your own recordings, and show it in a page."""
+    """Complete and grasp objects of a clutter, a single one and a room, or of your recordings, in a page."""
     from gfp_grasp.demo import run_demo  # loads simulator and networks, which --help does without
 
     recordings = (*(cloud or ()), *(capture or ()))
-    run_demo(folder, recordings=recordings, category=category, config=_config(folders), seed=seed, console=out)
+    if street and category is not None:
+        raise InvalidOption(
+            "--category is the class of one object, and --street completes all of a scan: give one of them"
+        )
+    run_demo(
+        folder,
+        recordings=recordings,
+        street=street,
+        category=category,
+        config=_config(folders),
+        seed=seed,
+        console=out,
+    )
 
 
 def view(
     capture: Annotated[
-        Path | None, typer.Argument(help="Cloud or .npz capture, metres; left out: sample, which ships.")
+        Path | None,
+        typer.Argument(help="Cloud, LiDAR scan or .npz capture, metres; sample and street ship; left out: sample."),
     ] = None,
     objects: Annotated[
         str | None,
@@ -236,6 +255,12 @@ def view(
         ),
     ] = None,
     category: Annotated[str | None, typer.Option(help="Class of the object in the capture.")] = None,
+    sensor: Annotated[
+        str,
+        typer.Option(
+            help="What saw it: tabletop (a depth camera) or lidar, whose cloud wider than 25 m is a whole scan."
+        ),
+    ] = "tabletop",
     folders: Gps = None,
     host: Annotated[str, typer.Option(help="Address to listen at; 0.0.0.0 lets other machines in.")] = "127.0.0.1",
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port, or the next that is free; 0 takes any.")] = 8080,
@@ -245,14 +270,22 @@ def view(
     """Serve a page that shows a capture, or episodes of the environment, with all that is made of them."""
     from gfp_grasp.view import view_capture, view_episodes
 
-    if objects is not None and (capture is not None or category is not None):
-        raise InvalidOption("--objects draws episodes of its own: give either it, or a capture (and its --category)")
+    if objects is not None and (capture is not None or category is not None or sensor != "tabletop"):
+        raise InvalidOption(
+            "--objects draws episodes of its own: give either it, or a capture (and its --category or --sensor)"
+        )
     with err.status("completing and planning ..."):
         if objects is not None:
             viewer = view_episodes(objects, gps=gps_option(folders), seed=seed, host=host, port=port)
         else:
             viewer = view_capture(
-                capture or "sample", category=category, config=_config(folders), seed=seed, host=host, port=port
+                capture or "sample",
+                category=category,
+                sensor=sensor,
+                config=_config(folders),
+                seed=seed,
+                host=host,
+                port=port,
             )
     with viewer:
         out.print(f"{viewer.url} shows it; Ctrl-C ends", markup=False)

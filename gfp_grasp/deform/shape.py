@@ -29,6 +29,7 @@ _STIFFNESS = 0.3
 _HALVINGS = 5
 # A face whose normal turns by more than this has folded over.
 _FOLD_COSINE = 0.0
+_LITTLE = 0.03  # share of an object's longest side
 
 
 def diffuse(primitive: GenericPrimitive, displacement: np.ndarray, confidence: np.ndarray) -> np.ndarray:
@@ -175,7 +176,21 @@ def deform(fit: FittedPrimitive, view: LevelView, *, config: DeformConfig = Defo
     placed = apply_T(T, vertices + displacement)
     displacement = displacement + (stood(placed, faces, view) - placed) @ T[:3, :3]
     moved, kept = damp_until_solid(vertices, faces, displacement)
-    return Deformed(apply_T(T, moved), sigma_m, kept)
+    moved = apply_T(T, moved)
+    if kept < 1:
+        moved = _stood_again(moved, faces, view)
+    return Deformed(moved, sigma_m, kept)
+
+
+def _stood_again(vertices: np.ndarray, faces: np.ndarray, view: LevelView) -> np.ndarray:
+    """Vertices (v, 3) m brought down to the road by what the damping took of it, where that is little for their size.
+
+    A vehicle whose wheels are a few centimetres above the road drops and rolls in a simulator.
+    """
+    missing = stood(vertices, faces, view) - vertices
+    if np.abs(missing).max() > _LITTLE * np.ptp(vertices, axis=0).max():
+        return vertices
+    return damp_until_solid(vertices, faces, missing)[0]
 
 
 def _by_contour(fit: FittedPrimitive, vertices: np.ndarray, template: TemplatePoints, snake: SnakeConfig) -> np.ndarray:

@@ -15,7 +15,8 @@ from gfp_grasp.types import LevelView
 # Multiples of the sensor's noise: what is this near to the support stands on it,
 _FOOT = 1 / 3
 _SUPPORT_REACHED = 20.0  # and an object whose lowest point is this far above the support that was seen is not on it.
-_LEAST_MARGIN = 1.0  # of the centre of mass within the outline of the feet
+_LEAST_MARGIN = 1.0  # of the centre of mass within the outline of the feet,
+_MARGIN_SHARE = 0.03  # and at least this share of the object's width: a bus on three wheels tips over
 _FACES_DOWN = -0.3  # z of the normal of a vertex that can be stood on
 _LEAST_BOTTOM = 1 / 3  # what faces up stays so far above the support, multiples of the noise
 _MOST_TURN_DEG = 5.0  # that an object which would topple is turned by, to where it rests
@@ -31,11 +32,18 @@ def stood(vertices: np.ndarray, faces: np.ndarray, view: LevelView) -> np.ndarra
     """
     sigma_m, lowest = view.sensor.sigma_m, float(vertices[:, 2].min())
     floor_m = 0.0 if view.floor_seen and lowest < _SUPPORT_REACHED * sigma_m else lowest
-    return stand_on(vertices, faces, floor_m, sigma_m=sigma_m)
+    width_m = float(np.ptp(vertices[:, :2], axis=0).min())
+    return stand_on(vertices, faces, floor_m, sigma_m=sigma_m, margin_m=_MARGIN_SHARE * width_m)
 
 
 def stand_on(
-    vertices: np.ndarray, faces: np.ndarray, floor_m: float, *, sigma_m: float, turn: bool = True
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    floor_m: float,
+    *,
+    sigma_m: float,
+    margin_m: float = 0.0,
+    turn: bool = True,
 ) -> np.ndarray:
     """Vertices (v, 3) m of a closed surface, z up, moved so that it stands on a floor.
 
@@ -49,13 +57,15 @@ def stand_on(
         faces: (f, 3), outward.
         floor_m: z of the floor.
         sigma_m: The sensor's noise, the unit of what is little.
+        margin_m: How far the centre of mass lies within the outline of the feet, where that is more than the noise.
         turn: Whether the object may be turned.
     """
     down = vertex_normals(vertices, faces)[:, 2]
+    least_m = max(margin_m, _LEAST_MARGIN * sigma_m)
     first = _on_plane(vertices, down, floor_m, sigma_m)
-    if _stands(first, faces, floor_m, sigma_m):
+    if _stands(first, faces, floor_m, least_m):
         return first
-    grown = _with_grown_foot(vertices, faces, down, floor_m, sigma_m, _GROWN)
+    grown = _with_grown_foot(vertices, faces, down, floor_m, sigma_m, least_m, _GROWN)
     if grown is not None:
         return grown
     centre = _centre_of_mass(first, faces)
@@ -64,17 +74,23 @@ def stand_on(
         turned = (vertices - centre) @ rotation.T + centre
         turned[:, 2] += floor_m - turned[:, 2].min()
         return _on_plane(turned, vertex_normals(turned, faces)[:, 2], floor_m, sigma_m)
-    grown = _with_grown_foot(vertices, faces, down, floor_m, sigma_m, _GROWN_MORE)
+    grown = _with_grown_foot(vertices, faces, down, floor_m, sigma_m, least_m, _GROWN_MORE)
     return first if grown is None else grown
 
 
 def _with_grown_foot(
-    vertices: np.ndarray, faces: np.ndarray, down: np.ndarray, floor_m: float, sigma_m: float, sizes: tuple[int, ...]
+    vertices: np.ndarray,
+    faces: np.ndarray,
+    down: np.ndarray,
+    floor_m: float,
+    sigma_m: float,
+    least_m: float,
+    sizes: tuple[int, ...],
 ) -> np.ndarray | None:
     """The vertices on the first foot of some sizes that carries the centre of mass; None where none does."""
     for grown in sizes:
         answer = _on_plane(vertices, down, floor_m, sigma_m, grown)
-        if _stands(answer, faces, floor_m, sigma_m):
+        if _stands(answer, faces, floor_m, least_m):
             return answer
     return None
 
@@ -90,10 +106,10 @@ def _on_plane(vertices: np.ndarray, down: np.ndarray, floor_m: float, sigma_m: f
     return np.column_stack([vertices[:, :2], np.where(stands, floor_m, np.maximum(z, least_m))])
 
 
-def _stands(vertices: np.ndarray, faces: np.ndarray, floor_m: float, sigma_m: float) -> bool:
-    """Whether the centre of mass is above the outline of what lies on the floor."""
+def _stands(vertices: np.ndarray, faces: np.ndarray, floor_m: float, least_m: float) -> bool:
+    """Whether the centre of mass is above the outline of what lies on the floor, so far within it."""
     feet = vertices[vertices[:, 2] < floor_m + 1e-6, :2]
-    return _margin_m(feet, _centre_of_mass(vertices, faces)[:2]) >= _LEAST_MARGIN * sigma_m
+    return _margin_m(feet, _centre_of_mass(vertices, faces)[:2]) >= least_m
 
 
 def _centre_of_mass(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:

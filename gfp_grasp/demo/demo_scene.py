@@ -7,7 +7,7 @@ for each object, which a demonstration should not wait for.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -16,7 +16,7 @@ import trimesh
 
 from gfp_grasp.assets import data_dir
 from gfp_grasp.collision import parts_from_arrays, parts_to_arrays
-from gfp_grasp.drawing import Item, spoken, write_clip, write_depth
+from gfp_grasp.drawing import ClassColours, Item, spoken, write_clip, write_depth
 from gfp_grasp.scenes import ObjectSource, World, load_objects, mesh_sha256
 from gfp_grasp.types import CollisionMesh, DepthImage, TrueObject
 
@@ -67,25 +67,6 @@ HEADINGS = ("object", "class", "fit, mm", "CD, mm", "F", "parts", "grasps", "bes
 WORD_HEADINGS = ("object", "class", "best grasp")  # columns of words, which start at the left
 
 
-@dataclass(frozen=True, eq=False)
-class DemoScene:
-    """One picture and what came of it.
-
-    Attributes:
-        title: Heading.
-        text: A sentence or two.
-        items: Objects of the picture.
-        folder: Folder that holds the scene's files.
-        pictures: File names in the folder, each with its caption.
-    """
-
-    title: str
-    text: str
-    items: tuple[Item, ...]
-    folder: Path
-    pictures: dict[str, str] = field(default_factory=dict)
-
-
 def figures_row(item: Item) -> tuple[str, ...]:
     """Figures of an object under HEADINGS, as text."""
     score = item.completion.scores.get(item.completion.category)
@@ -103,6 +84,62 @@ def figures_row(item: Item) -> tuple[str, ...]:
     )
 
 
+@dataclass(frozen=True)
+class Columns:
+    """What a table says of objects.
+
+    Attributes:
+        headings: Names of the columns.
+        words: Those of the columns of words, which start at the left.
+        row: Figures of an object under the headings, as text.
+    """
+
+    headings: tuple[str, ...]
+    words: tuple[str, ...]
+    row: Callable[[Item], tuple[str, ...]]
+
+
+OBJECTS = Columns(HEADINGS, WORD_HEADINGS, figures_row)
+
+
+@dataclass(frozen=True, eq=False)
+class StreetLook:
+    """How a page shows a LiDAR's scan about the objects that were completed in it.
+
+    Attributes:
+        points: (n, 3) m, those of no object, in the scan's frame.
+        T_level_world: (4, 4) to a frame with z up, the road at z = 0 and the sensor above the origin, looking along x.
+        colours: Colours of the classes.
+    """
+
+    points: np.ndarray
+    T_level_world: np.ndarray
+    colours: ClassColours
+
+
+@dataclass(frozen=True, eq=False)
+class DemoScene:
+    """One picture and what came of it.
+
+    Attributes:
+        title: Heading.
+        text: A sentence or two.
+        items: Objects of the picture.
+        folder: Folder that holds the scene's files.
+        pictures: File names in the folder, each with its caption.
+        columns: What its table says.
+        street: What the page shows of the scan about the objects; None where they do not come of one.
+    """
+
+    title: str
+    text: str
+    items: tuple[Item, ...]
+    folder: Path
+    pictures: dict[str, str] = field(default_factory=dict)
+    columns: Columns = OBJECTS
+    street: StreetLook | None = None
+
+
 def write_scene(
     title: str,
     text: str,
@@ -112,6 +149,7 @@ def write_scene(
     image: DepthImage | None,
     frames: Sequence[np.ndarray],
     stages: Mapping[str, World],
+    columns: Columns = OBJECTS,
 ) -> DemoScene:
     """Write the folder of a scene: pictures, clip, clouds, meshes, simulator scenes, figures.
 
@@ -123,6 +161,7 @@ def write_scene(
         image: Depth picture, or None for a bare cloud.
         frames: Frames of the clip, (h, w, 3) uint8; none leaves the clip out.
         stages: Simulator scenes to write, by name.
+        columns: Figures of its table and of figures.json.
     """
     folder.mkdir(parents=True, exist_ok=True)
     pictures: dict[str, str] = {}
@@ -140,9 +179,9 @@ def write_scene(
         _write_item(item, folder)
     for name, stage in stages.items():
         stage.save(folder / f"scene_{name}.xml")
-    figures = [dict(zip(HEADINGS, figures_row(item), strict=True)) for item in items]
+    figures = [dict(zip(columns.headings, columns.row(item), strict=True)) for item in items]
     (folder / "figures.json").write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
-    return DemoScene(title, text, items, folder, pictures)
+    return DemoScene(title, text, items, folder, pictures, columns)
 
 
 def _write_item(item: Item, folder: Path) -> None:

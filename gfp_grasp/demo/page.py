@@ -12,14 +12,30 @@ import numpy as np
 import trimesh
 
 from gfp_grasp.completion import lowest_support
-from gfp_grasp.demo.demo_scene import HEADINGS, WORD_HEADINGS, DemoScene, figures_row
-from gfp_grasp.drawing import Item, gripper_mesh, html_page
+from gfp_grasp.demo.demo_scene import DemoScene, StreetLook
+from gfp_grasp.drawing import Item, gripper_mesh, html_page, paled
 from gfp_grasp.transforms import apply_T, make_T, rotation_between
 
 # More points than this hide the surface under them.
 _MAX_POINTS = 900
 _ASIDE_RAD = 0.7
-_MEDIA_TYPES = {".png": "image/png", ".gif": "image/gif"}
+_MEDIA_TYPES = {".png": "image/png", ".gif": "image/gif", ".jpg": "image/jpeg"}
+# More points of a scan make turning slow; whole centimetres are finer than its noise.
+_MAX_SCAN, _CM = 60_000, 100
+# The first look at a street: from behind and right of the sensor, as far away as this radius needs.
+_LOOK_AT, _LOOK_RADIUS_M, _LOOK_AZIMUTH_RAD = (-0.4, 1.0, 0.0), 17.5, -2.77
+_LEAD = """Each object below was seen from one side only. A primitive of its class was fitted and deformed to the
+points. The mesh is watertight, in metres, and comes with convex parts for a simulator. The best grasp planned on it was
+tried in MuJoCo: on the true object where there is one, on the completed parts elsewhere."""
+_FOOT = """CD is the mean distance from the completion to the truth plus the mean distance back, over the surface that
+can be seen from outside or through an opening; F is the F-score at 5 mm; a question mark stands where the truth is
+unknown. Fit is the trimmed mean distance of the points to the fitted primitive, before it is deformed. The number
+beside a class is its probability."""
+_STREET_LEAD = """A LiDAR sees the near side of what stands about it. Vehicles and people were found in the scan, and
+the whole shape of each was completed from a primitive of its class. The meshes are watertight, in metres, in the scan's
+frame, and come with convex parts for a simulator."""
+_STREET_FOOT = """Distance is that of an object's middle from the sensor; size is length, width and height; guessed is
+the share of its vertices that nobody saw. The number beside a class is its probability."""
 
 
 def write_page(scenes: Sequence[DemoScene], *, command: str, notes: Sequence[str] = ()) -> str:
@@ -34,18 +50,16 @@ def write_page(scenes: Sequence[DemoScene], *, command: str, notes: Sequence[str
     viewer = files("gfp_grasp.demo").joinpath("viewer.js").read_text(encoding="utf-8")
     sections = "\n".join(_section(scene, i) for i, scene in enumerate(scenes))
     foot = "".join(f"<p>{html.escape(note)}</p>" for note in notes)
-    body = f"""<h1>One depth view in, whole objects out</h1>
-<p class="lead">Each object below was seen from one side only. A primitive of its class was fitted and deformed to the
-points. The mesh is watertight, in metres, and comes with convex parts for a simulator. The best grasp planned on it was
-tried in MuJoCo: on the true object where there is one, on the completed parts elsewhere.</p>
+    streets = bool(scenes) and all(scene.street is not None for scene in scenes)
+    heading = "One scan in, whole vehicles and people out" if streets else "One depth view in, whole objects out"
+    lead, words = (_STREET_LEAD, _STREET_FOOT) if streets else (_LEAD, _FOOT)
+    body = f"""<h1>{heading}</h1>
+<p class="lead">{lead}</p>
 {sections}
 <footer>
 <p>Made by <code>{html.escape(command)}</code>.</p>
 {foot}
-<p>CD is the mean distance from the completion to the truth plus the mean distance back, over the surface that can be
-seen from outside or through an opening; F is the F-score at 5 mm; a question mark stands where the truth is unknown.
-Fit is the trimmed mean distance of the points to the fitted primitive, before it is deformed. The number beside a class
-is its probability.</p>
+<p>{words}</p>
 </footer>"""
     data = f'<script type="application/json" id="scenes">{shapes}</script>'
     script = f"{data}\n<script>\n{viewer}</script>\n"
@@ -65,8 +79,7 @@ def _section(scene: DemoScene, index: int) -> str:
 <div class="bar"><div class="choose" role="group" aria-label="Object"></div>
 <div class="layers" role="group" aria-label="What is shown"></div></div>
 <canvas tabindex="0" role="img" aria-label="{html.escape(scene.title)}: drag or use the arrow keys to turn"></canvas>
-<div class="legend"><span><i style="--dot:#3a76c9"></i>surface that was seen</span>
-<span><i style="--dot:#ec9d38"></i>surface that was completed</span>
+<div class="legend">{_legend(scene.street)}
 <span>drag to turn, wheel or pinch to zoom, double-click to reset</span></div>
 </div>
 <div class="card wide">{_table(scene)}</div>
@@ -74,18 +87,37 @@ def _section(scene: DemoScene, index: int) -> str:
 </section>"""
 
 
+def _legend(street: StreetLook | None) -> str:
+    """What the colours of the canvas mean."""
+    if street is None:
+        dots = [("#3a76c9", "surface that was seen"), ("#ec9d38", "surface that was completed")]
+    else:
+        dots = [(_hex(rgb), name.replace("_", " ")) for name, rgb in street.colours.rgb.items()]
+        first = next(iter(street.colours.rgb.values()))
+        dots += [(_hex(paled(first)), "paler: nobody saw it"), ("#8a8a8a", "points of the scan by height")]
+    return "\n".join(f'<span><i style="--dot:{colour}"></i>{html.escape(words)}</span>' for colour, words in dots)
+
+
+def _hex(rgb: np.ndarray) -> str:
+    return "#" + bytes(rgb.astype(np.uint8)).hex()
+
+
 def _table(scene: DemoScene) -> str:
+    columns = scene.columns
+
     def cell(tag: str, heading: str, text: str, item: Item | None = None) -> str:
-        kinds = ["word"] if heading in WORD_HEADINGS else []
+        kinds = ["word"] if heading in columns.words else []
         if item and item.outcome and heading == "best grasp":
             kinds.append("held" if item.outcome.success else "failed")
         name = f' data-name="{html.escape(heading)}"' if item else ""  # narrow pages show it beside the figure
         return f'<{tag} class="{" ".join(kinds)}"{name}>{html.escape(text)}</{tag}>'
 
-    head = "".join(cell("th", heading, heading) for heading in HEADINGS)
+    head = "".join(cell("th", heading, heading) for heading in columns.headings)
     body = "".join(
         "<tr>"
-        + "".join(cell("td", heading, text, item) for heading, text in zip(HEADINGS, figures_row(item), strict=True))
+        + "".join(
+            cell("td", heading, text, item) for heading, text in zip(columns.headings, columns.row(item), strict=True)
+        )
         + "</tr>"
         for item in scene.items
     )
@@ -94,12 +126,27 @@ def _table(scene: DemoScene) -> str:
 
 def _shapes(scene: DemoScene) -> dict[str, object]:
     """All shapes of a scene, turned so that up is z, which the viewer takes for granted."""
+    if scene.street is not None:
+        return _street_shapes(scene, scene.street)
     detection = scene.items[0].completion.detection
     T = make_T(rotation_between(detection.up, [0.0, 0.0, 1.0]))
     support = lowest_support([item.completion for item in scene.items])
     floor = support.height_m if support else None
     items = [_item(item, T) for item in scene.items]
     return {"floor": floor, "azimuth": _azimuth(scene, T), "items": items}
+
+
+def _street_shapes(scene: DemoScene, street: StreetLook) -> dict[str, object]:
+    """Shapes of a street: each object with its colours of seen and guessed surface, and the scan in centimetres."""
+    items = []
+    for item in scene.items:
+        rgb = street.colours.rgb[item.completion.category]
+        items.append({**_item(item, street.T_level_world), "colours": [rgb.tolist(), paled(rgb).tolist()]})
+    points = street.points[:: max(1, -(-len(street.points) // _MAX_SCAN))]
+    level_cm = np.clip(np.round(_CM * apply_T(street.T_level_world, points)), -32767, 32767)
+    look = {"at": _LOOK_AT, "radius": _LOOK_RADIUS_M}
+    scan = _base64(level_cm, "<i2")
+    return {"floor": None, "azimuth": _LOOK_AZIMUTH_RAD, "items": items, "scan": scan, "look": look}
 
 
 def _azimuth(scene: DemoScene, T: np.ndarray) -> float:

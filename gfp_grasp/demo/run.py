@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 
@@ -16,18 +17,17 @@ from gfp_grasp.captures import read_capture
 from gfp_grasp.complete import CompleteConfig
 from gfp_grasp.demo.demo_scene import (
     CLUTTER,
-    HEADINGS,
     ROOM,
     SINGLE,
-    WORD_HEADINGS,
     DemoScene,
-    figures_row,
     pick_objects,
 )
 from gfp_grasp.demo.jobs import EYES, recorded_scene, simulated_scene
 from gfp_grasp.demo.page import write_page
 from gfp_grasp.demo.room import room_scene
+from gfp_grasp.demo.street import street_scene
 
+STREET = "street"  # the scan that ships
 Job = Callable[[], DemoScene]
 
 
@@ -35,6 +35,7 @@ def run_demo(
     out: Path,
     *,
     recordings: tuple[Path, ...] = (),
+    street: bool = False,
     category: str | None = None,
     config: CompleteConfig | None = None,
     seed: int = 0,
@@ -44,7 +45,8 @@ def run_demo(
 
     Args:
         out: Folder to write; index.html shows all of it.
-        recordings: Clouds or captures, see captures.read_capture; none shows a clutter and a single object.
+        recordings: Clouds or captures, see captures.read_capture; none shows a clutter, a single object and a room.
+        street: Recordings are whole LiDAR scans; without any, the street that ships is shown alone.
         category: Class of the recordings' objects; None lets the classifier choose.
         config: Switches of the completion, the library of classes among them.
         seed: Seed of every random choice.
@@ -58,8 +60,10 @@ def run_demo(
     """
     console = console or Console(quiet=True)
     start = time.perf_counter()
-    recorded = _recorded_jobs(recordings, out, category, config, seed)
-    jobs = recorded or _simulated_jobs(out, config, seed)
+    if street:
+        jobs = _street_jobs(recordings or (Path(STREET),), out, config, seed)
+    else:
+        jobs = _recorded_jobs(recordings, out, category, config, seed) or _simulated_jobs(out, config, seed)
     scenes, notes = [], []
     for name, job in jobs:
         with console.status(f"{name} ..."), warnings.catch_warnings(record=True) as caught:
@@ -69,7 +73,12 @@ def run_demo(
         console.print(_table(scenes[-1]))
     for note in notes:
         console.print(f"note: {note}", style="yellow", markup=False)
-    command = "gfp-grasp demo" + "".join(f" --capture {path.name}" for path in recordings) + f" --seed {seed}"
+    command = (
+        "gfp-grasp demo"
+        + " --street" * street
+        + "".join(f" --capture {path.name}" for path in recordings)
+        + f" --seed {seed}"
+    )
     out.mkdir(parents=True, exist_ok=True)
     (out / "index.html").write_text(write_page(scenes, command=command, notes=notes), encoding="utf-8")
     console.print(f"{time.perf_counter() - start:.0f} s; open {out / 'index.html'}", markup=False)
@@ -118,14 +127,22 @@ def _recorded_jobs(
     return [(capture.name, partial(scene, capture, folder=out / path.stem)) for capture, path in captures]
 
 
+def _street_jobs(scans: tuple[Path, ...], out: Path, config: CompleteConfig | None, seed: int) -> list[tuple[str, Job]]:
+    captures = [(read_capture(path), path) for path in scans]
+    captures = [(replace(one, name="A street") if str(path) == STREET else one, path) for one, path in captures]
+    scene = partial(street_scene, config=config, seed=seed)
+    return [(capture.name, partial(scene, capture, folder=out / path.stem)) for capture, path in captures]
+
+
 def _table(scene: DemoScene) -> Table:
     table = Table(title=scene.title, title_justify="left", header_style="bold", box=SIMPLE_HEAD, padding=(0, 1, 0, 0))
-    for heading in HEADINGS:
-        table.add_column(heading, justify="left" if heading in WORD_HEADINGS else "right")
+    columns = scene.columns
+    for heading in columns.headings:
+        table.add_column(heading, justify="left" if heading in columns.words else "right")
     for item in scene.items:
-        cells = list(figures_row(item))
+        cells = list(columns.row(item))
         if item.outcome is not None:
-            colour, place = "green" if item.outcome.success else "red", HEADINGS.index("best grasp")
+            colour, place = "green" if item.outcome.success else "red", columns.headings.index("best grasp")
             cells[place] = f"[{colour}]{cells[place]}[/]"
         table.add_row(*cells)
     return table

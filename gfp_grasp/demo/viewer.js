@@ -52,7 +52,8 @@ function layersOf(item) {
   if (item.cloud) layers.points.push({ p: decode(item.cloud, Float32Array) });
   if (item.completed) {
     const seen = decode(item.completed.seen, Uint8Array);
-    layers.completed.push(makeMesh(item.completed, (i) => (seen[i] ? SEEN : GUESSED)));
+    const [sure, guessed] = item.colours || [SEEN, GUESSED];
+    layers.completed.push(makeMesh(item.completed, (i) => (seen[i] ? sure : guessed)));
   }
   if (item.parts) {
     const part = decode(item.parts.part, Uint16Array);
@@ -63,14 +64,23 @@ function layersOf(item) {
   return layers;
 }
 
+// Points of a whole scan, written in centimetres, with the grey of each: low is light, high is dark.
+function scanOf(text) {
+  const p = Float32Array.from(decode(text, Int16Array), (x) => x / 100), grey = new Uint8Array(p.length / 3);
+  for (let i = 0; i < grey.length; i++) grey[i] = 172 - 106 * Math.pow(Math.min(1, Math.max(0, p[3 * i + 2] / 4)), 0.7);
+  return { p, grey };
+}
+
 class Viewer {
   constructor(canvas, scene) {
     this.canvas = canvas;
     this.context = canvas.getContext("2d");
     this.items = scene.items.map((item) => ({ layers: layersOf(item), at: item.at, reach: item.reach }));
     this.floor = scene.floor;
+    this.scan = scene.scan ? scanOf(scene.scan) : null;
+    this.look = scene.look || null;
     // Several grippers would hide what they are about to grasp.
-    this.shown = { points: true, completed: true, parts: false, truth: false, gripper: scene.items.length === 1 };
+    this.shown = { scan: true, points: !this.scan, completed: true, parts: false, truth: false, gripper: scene.items.length === 1 };
     this.start = scene.azimuth;
     this.select(-1);
     this.reset();
@@ -85,6 +95,7 @@ class Viewer {
     }
     this.target = low.map((x, k) => (x + high[k]) / 2);
     this.radius = this.chosen.length === 1 ? this.chosen[0].reach : Math.hypot(...low.map((x, k) => high[k] - x)) / 2;
+    if (this.look && index < 0) { this.target = this.look.at; this.radius = this.look.radius; }
     this.zoom = 1;
     this.draw();
   }
@@ -118,7 +129,9 @@ class Viewer {
     for (const item of this.chosen) for (const name of order) {
       if (this.shown[name]) for (const mesh of item.layers[name]) fillMesh(frame, mesh);
     }
-    const dark = matchMedia("(prefers-color-scheme: dark)").matches && !this.shown.completed && !this.shown.parts;
+    const night = matchMedia("(prefers-color-scheme: dark)").matches;
+    if (this.scan && this.shown.scan) fillScan(frame, this.scan, night);
+    const dark = night && !this.shown.completed && !this.shown.parts;
     for (const item of this.chosen) {
       if (this.shown.points) for (const cloud of item.layers.points) fillPoints(frame, cloud.p, dark ? POINT_DARK : POINT);
     }
@@ -261,6 +274,22 @@ function fillPoints(frame, p, colour) {
   }
 }
 
+function fillScan(frame, scan, night) {
+  const { w, h, z, rgba } = frame, s = place(frame, scan.p), size = Math.max(1, Math.round(0.8 * frame.scale));
+  for (let i = 0; i < s.length; i += 3) {
+    const depth = s[i + 2];
+    if (depth === 0) continue;
+    const grey = night ? 300 - scan.grey[i / 3] : scan.grey[i / 3], paint = 0xff000000 | (grey << 16) | (grey << 8) | grey;
+    const left = Math.round(s[i]), top = Math.round(s[i + 1]);
+    for (let y = Math.max(0, top); y < Math.min(h, top + size); y++) {
+      for (let x = Math.max(0, left); x < Math.min(w, left + size); x++) {
+        const at = y * w + x;
+        if (depth > z[at]) { z[at] = depth; rgba[at] = paint; }
+      }
+    }
+  }
+}
+
 function line(frame, from, to) {
   const { w, h, z, rgba } = frame, s = place(frame, Float32Array.from([...from, ...to]));
   if (s[2] === 0 || s[5] === 0) return;
@@ -293,9 +322,9 @@ function start(scene, section) {
   };
   if (scene.items.length > 1) choose.append(button("All", true, (made) => pick(-1, made)));
   scene.items.forEach((item, i) => choose.append(button(item.name, scene.items.length === 1, (made) => pick(i, made))));
-  const names = { points: "Seen points", completed: "Completed", parts: "Convex parts", truth: "Truth", gripper: "Best grasp" };
+  const names = { scan: "Scan", points: "Seen points", completed: "Completed", parts: "Convex parts", truth: "Truth", gripper: "Best grasp" };
   for (const [layer, label] of Object.entries(names)) {
-    if (!viewer.items.some((item) => item.layers[layer].length)) continue;
+    if (layer === "scan" ? !viewer.scan : !viewer.items.some((item) => item.layers[layer].length)) continue;
     const made = button(label, viewer.shown[layer], () => {
       const on = made.getAttribute("aria-pressed") !== "true";
       made.setAttribute("aria-pressed", on);

@@ -1,6 +1,7 @@
 """Completed objects and scenes as files: meshes, MJCF in one file, URDF with a mesh for each part."""
 
-from gfp_grasp.export.formats import CONTACT_PRIORITY, CONTACT_SOLREF, Body, MassProperties, mass_properties
+from gfp_grasp.export.formats import CONTACT_PRIORITY, CONTACT_SOLREF, Body, MassProperties, Slab, mass_properties
+from gfp_grasp.export.roads import roads_under
 from gfp_grasp.export.write import (
     SUFFIXES,
     export_bodies,
@@ -17,6 +18,7 @@ __all__ = [
     "SUFFIXES",
     "Body",
     "MassProperties",
+    "Slab",
     "export_bodies",
     "export_completion",
     "foot_pose",
@@ -24,4 +26,5 @@ __all__ = [
     "make_body",
     "mass_properties",
     "needs_parts",
+    "roads_under",
 ]

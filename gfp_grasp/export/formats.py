@@ -108,6 +108,21 @@ class Body:
         return (self.mesh, *self.parts)
 
 
+@dataclass(frozen=True, eq=False)
+class Slab:
+    """A box of road.
+
+    Attributes:
+        name: Name of its geom.
+        T_world_slab: (4, 4) of its middle, z normal to its top.
+        half_m: (3,) half of its sides.
+    """
+
+    name: str
+    T_world_slab: np.ndarray
+    half_m: np.ndarray
+
+
 def write_meshes(bodies: Sequence[Body], path: Path) -> list[list[str]]:
     """Write mesh and parts of each body into the folder `<stem>_meshes` beside a path.
 
@@ -155,6 +170,7 @@ def to_text(numbers: object) -> str:
     return " ".join(f"{number:.9g}" for number in np.asarray(numbers).ravel())
 
 
+_GROUND_RGBA = "0.8 0.8 0.82 1"
 _GRAVITY = 9.81  # MuJoCo's own
 # Stiffer than MuJoCo's 20 ms, down to which a default marble sinks through the bottom of a cup, and as stiff as its
 # default step of 2 ms allows; the higher priority makes it hold against whatever the other geom has.
@@ -170,8 +186,9 @@ def write_mjcf(
     in_files: bool,
     contact: bool,
     floor_m: float | None = None,
+    slabs: Sequence[Slab] = (),
 ) -> None:
-    """Write bodies that stand on one floor.
+    """Write bodies that stand on one floor, or on slabs above it.
 
     Args:
         bodies: What is written, at least one.
@@ -181,12 +198,17 @@ def write_mjcf(
         contact: Parts carry contact parameters of their own.
         floor_m: Height of the floor along up; None lets it touch the lowest of meshes and parts, so that what was
             fitted to noise does not start inside of it.
+        slabs: Boxes of ground that do not move.
     """
     root = ElementTree.Element("mujoco", model=bodies[0].name if len(bodies) == 1 else path.stem)
     ElementTree.SubElement(root, "option", gravity=to_text(-_GRAVITY * up))
     asset = ElementTree.SubElement(root, "asset")
     world = ElementTree.SubElement(root, "worldbody")
     _add_light_and_floor(world, bodies, up, floor_m)
+    for slab in slabs:
+        T = slab.T_world_slab
+        place = {"pos": to_text(T[:3, 3]), "quat": to_text(quat_wxyz(T[:3, :3])), "size": to_text(slab.half_m)}
+        ElementTree.SubElement(world, "geom", {"name": slab.name, "type": "box", **place, "rgba": _GROUND_RGBA})
     files = write_meshes(bodies, path) if in_files else [None] * len(bodies)
     for body, names in zip(bodies, files, strict=True):
         sources = [_embedded(shape) for shape in body.shapes] if names is None else [{"file": file} for file in names]
@@ -245,7 +267,7 @@ def _add_light_and_floor(
         size="0 0 0.05",
         pos=to_text(height_m * up),
         zaxis=to_text(up),
-        rgba="0.8 0.8 0.82 1",
+        rgba=_GROUND_RGBA,
     )
 
 

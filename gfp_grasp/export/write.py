@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from gfp_grasp.collision import MIN_THICKNESS_M, convex_part
 from gfp_grasp.errors import InvalidMesh, InvalidOption
-from gfp_grasp.export.formats import Body, Part, mass_properties, replacing, write_mjcf, write_urdf
+from gfp_grasp.export.formats import Body, Part, Slab, mass_properties, replacing, write_mjcf, write_urdf
 from gfp_grasp.transforms import apply_T, invert_T, make_T, rotation_between
 
 _IN_PARTS = (".xml", ".urdf")
@@ -97,6 +97,7 @@ def export_bodies(
     *,
     up: ArrayLike = (0.0, 0.0, 1.0),
     floor_m: float | None = None,
+    slabs: Sequence[Slab] = (),
     assets: Literal["embedded", "files"] = "embedded",
     contact: bool = True,
 ) -> Path:
@@ -111,6 +112,7 @@ def export_bodies(
         path: The file; folders are made, files replaced.
         up: (3,) normal of the floor, for .xml and .urdf.
         floor_m: Height of the floor along up, for .xml; None takes that of the lowest point.
+        slabs: Further ground above the floor, for .xml.
         assets: As in `export_completion`.
         contact: As in `export_completion`.
 
@@ -128,7 +130,7 @@ def export_bodies(
         turned = [_turned(body, rotation_between(up, (0.0, 0.0, 1.0))) for body in bodies]
         write_urdf(turned, path, in_world=True)
     elif in_parts:
-        write_mjcf(bodies, path, up=up, floor_m=floor_m, in_files=assets == "files", contact=contact)
+        write_mjcf(bodies, path, up=up, floor_m=floor_m, slabs=slabs, in_files=assets == "files", contact=contact)
     else:
         shown = trimesh.Scene()
         for body in bodies:

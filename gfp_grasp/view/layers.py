@@ -18,8 +18,8 @@ import numpy as np
 import trimesh
 
 from gfp_grasp.completion import lowest_support
-from gfp_grasp.drawing import Item, apart, gripper_mesh
-from gfp_grasp.transforms import quat_wxyz, rotation_between
+from gfp_grasp.drawing import ClassColours, Item, apart, gripper_mesh, height_greys, level_frame_of, scan_points
+from gfp_grasp.transforms import apply_T, quat_wxyz, rotation_between
 from gfp_grasp.types import Grasp
 from gfp_grasp.view.scene import SUPPORT, ShownScene, scene_cloud
 
@@ -32,7 +32,7 @@ TABLE, SURROUNDINGS, LINES, OBSERVED = (176, 176, 170), (120, 120, 126), (222, 2
 TRUTH, PRIMITIVE = (70, 160, 110), (120, 60, 150)
 BEST_GRASP, OTHER_GRASP, GRIPPER = (40, 160, 70), (110, 116, 124), (92, 98, 108)
 # The least of these that covers so much of what is shown ends the scale.
-_ENDS_MM = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 10.0, 15.0, 20.0, 30.0, 50.0, 100.0)
+_ENDS_MM = (1.0, 2.0, 3.0, 4.0, 6.0, 8.0, 10.0, 15.0, 20.0, 30.0, 50.0, 100.0, 200.0, 500.0)
 _COVERED = 0.95
 # Five colours of viridis, which also those see apart who do not see red and green apart.
 _SCALE = np.array([(68, 1, 84), (59, 82, 139), (33, 145, 140), (94, 201, 98), (253, 231, 37)], dtype=np.float64)
@@ -74,6 +74,8 @@ def grasp_colour(rank: int) -> tuple[tuple[int, int, int], float]:
 # More points of an object than this hide the surface under them.
 _MAX_OBSERVED = 1500
 _OBSERVED_M, _CLUSTER_M, _SCENE_M = 0.001, 0.0008, 0.0014  # sizes of points
+_IN_TRAFFIC = 25.0  # times these sizes are those of vehicles and people
+_MAX_SCAN = 150_000
 _TRUTH_OPACITY = 0.45
 _GRID_M, _CELL_M, _LABEL_M = 1.0, 0.05, 0.02
 
@@ -135,15 +137,22 @@ class Layers:
         server: Viser's server, whose scene the nodes are in.
         shown: The scene that they show.
         end_mm: End of the colour scale of sigma, mm.
+        size: Sizes of points and labels, in multiples of those for things on tables.
+        colours: Colours of the classes of a street; None where surface is blue or orange, seen or guessed.
         nodes: Handle of each node.
     """
 
     server: viser.ViserServer
     shown: ShownScene
     end_mm: float = field(init=False)
+    size: float = field(init=False)
+    colours: ClassColours | None = field(init=False)
     nodes: dict[str, viser.SceneNodeHandle] = field(default_factory=dict, init=False)
 
     def __post_init__(self) -> None:
+        self.size = _IN_TRAFFIC if self.shown.in_traffic else 1.0
+        street = self.shown.street
+        self.colours = None if street is None else ClassColours.of([completion.category for completion in street])
         self.end_mm = scale_end_mm([item.completion.sigma_m for item in self.shown.items])
         with self.server.atomic():
             for number, item in enumerate(self.shown.items):
@@ -182,17 +191,22 @@ class Layers:
             self._points("/scene/points", points[labels < 0], colours[labels < 0], _SCENE_M)
             for number, colour in enumerate(apart(len(completions))):  # each moves with its object
                 self._points(f"/objects/{number}/cluster", points[labels == number], colour, _CLUSTER_M)
+        if shown.street is not None:
+            points = scan_points(shown.street)
+            points = points[:: max(1, -(-len(points) // _MAX_SCAN))]
+            greys = height_greys(apply_T(level_frame_of(shown.street), points)[:, 2])
+            self._points("/scene/points", points, greys, _SCENE_M)
         for number, truth in enumerate(shown.truths):
             self._simple(f"/truth/{number}", truth, TRUTH, opacity=_TRUTH_OPACITY)
-        if (support := lowest_support(completions)) is not None:
+        if shown.street is None and (support := lowest_support(completions)) is not None:  # a scan shows its road
             middle = completions[0].mesh.bounds.mean(axis=0)
             self.nodes["/scene/grid"] = scene.add_grid(
                 "/scene/grid",
-                _GRID_M,
-                _GRID_M,
-                cell_size=_CELL_M,
+                self.size * _GRID_M,
+                self.size * _GRID_M,
+                cell_size=self.size * _CELL_M,
                 cell_color=LINES,
-                section_size=2 * _CELL_M,
+                section_size=2 * self.size * _CELL_M,
                 section_color=LINES,
                 wxyz=quat_wxyz(rotation_between((0.0, 0.0, 1.0), support.normal)),
                 position=middle - support.distances(middle[None])[0] * support.normal,
@@ -203,7 +217,13 @@ class Layers:
         self.nodes[at] = scene.add_frame(at, show_axes=False)
         points = np.asarray(completion.detection.cloud.points)
         self._points(f"{at}/observed", points[:: max(1, -(-len(points) // _MAX_OBSERVED))], OBSERVED, _OBSERVED_M)
-        self._coloured(f"{at}/mesh", completion.mesh, seen_colours(completion.observed))
+        own = self.colours
+        seen = (
+            seen_colours(completion.observed)
+            if own is None
+            else own.of_vertices(completion.category, completion.observed)
+        )
+        self._coloured(f"{at}/mesh", completion.mesh, seen)
         self._coloured(f"{at}/sigma", completion.mesh, scale_colours(completion.sigma_m, self.end_mm))
         colours = apart(len(completion.parts))
         shards = [
@@ -216,7 +236,9 @@ class Layers:
             self._simple(f"{at}/primitive", wire, PRIMITIVE, wireframe=True)
         if len(self.shown.items) > 1:
             top = completion.mesh.vertices[np.argmax(completion.mesh.vertices @ self.shown.up)]
-            self.nodes[f"{at}/name"] = scene.add_label(f"{at}/name", item.name, position=top + _LABEL_M * self.shown.up)
+            self.nodes[f"{at}/name"] = scene.add_label(
+                f"{at}/name", item.name, position=top + self.size * _LABEL_M * self.shown.up
+            )
         self.nodes[f"/grasps/{number}"] = scene.add_frame(f"/grasps/{number}", show_axes=False)
         for rank, grasp in enumerate(item.grasps):
             self._draw_grasp(f"/grasps/{number}/{rank}", grasp, rank)
@@ -232,7 +254,7 @@ class Layers:
 
     def _points(self, name: str, points: np.ndarray, colours: np.ndarray | tuple[int, int, int], size_m: float) -> None:
         self.nodes[name] = self.server.scene.add_point_cloud(
-            name, points, colours, point_size=size_m, precision="float32"
+            name, points, colours, point_size=self.size * size_m, precision="float32"
         )
 
     def _coloured(self, name: str, mesh: trimesh.Trimesh, colours: np.ndarray) -> None:

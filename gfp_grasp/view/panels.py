@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from gfp_grasp.drawing import Item, spoken
+from gfp_grasp.drawing import ClassColours, Item, paled, spoken
 from gfp_grasp.transforms import apply_T, invert_T
 from gfp_grasp.types import Outcome
 from gfp_grasp.view.layers import GUESSED, SEEN, Layers, Switches, scale_stops
@@ -42,10 +42,15 @@ def item_rows(item: Item) -> Rows:
     parts = completion.collision
     rows.append(("parts", f"{len(parts.parts)}, {parts.made_by}"))
     rows.append(("parts off by", "{:.2f} mm, 95 % below {:.2f}, all {:.2f}".format(*(1000 * e for e in parts.error_m))))
-    rows.append(("grasps", f"{len(item.grasps)}, best {item.grasps[0].quality:.2f}" if item.grasps else "none fits"))
+    if completion.detection.sensor.of_traffic:
+        rows.append(("distance", _distance(item)))
+    else:
+        best = f"{len(item.grasps)}, best {item.grasps[0].quality:.2f}" if item.grasps else "none fits"
+        rows.append(("grasps", best))
     if item.errors is not None:
         rows.append(("off the truth", f"{1000 * item.errors.cd_m:.1f} mm, F {item.errors.f_score:.2f} at 5 mm"))
-    rows.append(("time", f"{1000 * item.seconds:.0f} ms, planning {1000 * item.grasp_s:.0f} ms"))
+    planning = "" if completion.detection.sensor.of_traffic else f", planning {1000 * item.grasp_s:.0f} ms"
+    rows.append(("time", f"{1000 * item.seconds:.0f} ms{planning}"))
     if warning := parts.notes.get("warning"):
         rows.append(("warning", str(warning)))
     return rows
@@ -67,12 +72,17 @@ def line(text: str) -> str:
     return f'<div style="{_BOX}">{_safe(text)}</div>'
 
 
-def surface_legend() -> str:
-    """Legend of seen and guessed surface."""
+def surface_legend(colours: ClassColours | None = None) -> str:
+    """Legend of seen and guessed surface; of a street, of its classes."""
+    if colours is None:
+        named = [(SEEN, "seen"), (GUESSED, "guessed")]
+    else:
+        named = [(_rgb(rgb), name.replace("_", " ")) for name, rgb in colours.rgb.items()]
+        named += [(_rgb(paled(rgb)), "guessed") for rgb in list(colours.rgb.values())[:1]]
     dots = "".join(
         f'<span style="margin-right:1em"><span style="display:inline-block;width:0.8em;height:0.8em;border-radius:50%;'
-        f'margin-right:0.35em;background:rgb{colour}"></span>{word}</span>'
-        for colour, word in ((SEEN, "seen"), (GUESSED, "guessed"))
+        f'margin-right:0.35em;background:rgb{colour}"></span>{_safe(word)}</span>'
+        for colour, word in named
     )
     return f'<div style="{_BOX}">{dots}</div>'
 
@@ -109,6 +119,19 @@ def _size(item: Item) -> str:
     """Extents along the primitive's own axes; its z axis is upright."""
     local = apply_T(invert_T(item.completion.T_world_object), item.completion.mesh.vertices)
     return " x ".join(f"{1000 * extent:.0f}" for extent in np.ptp(local, axis=0)) + " mm"
+
+
+def _distance(item: Item) -> str:
+    """From where the sensor stood to the middle of the object."""
+    eye = item.completion.detection.cloud.viewpoint
+    if eye is None:
+        return "unknown"
+    return f"{np.linalg.norm(item.completion.mesh.bounds.mean(axis=0) - eye):.1f} m"
+
+
+def _rgb(colour: np.ndarray) -> tuple[int, int, int]:
+    red, green, blue = (int(channel) for channel in colour)
+    return red, green, blue
 
 
 def _safe(text: str) -> str:
@@ -160,6 +183,7 @@ class Panels:
         self.clear()
         self.layers = layers
         self.switches["truth"].visible = bool(shown.truths)
+        self.slider.visible = not shown.in_traffic  # no gripper takes hold of a car
         self.slider.max = max([1, *(len(item.grasps) for item in shown.items)])
         self.slider.value = min(self.slider.value, self.slider.max)
         gui = self.server.gui
@@ -198,4 +222,4 @@ class Panels:
             if not layers.shown.items:  # there is nothing else to see
                 state = replace(state, truth=True)
             layers.show(state)
-            self.legend.content = scale_legend(layers.end_mm) if state.sigma else surface_legend()
+            self.legend.content = scale_legend(layers.end_mm) if state.sigma else surface_legend(layers.colours)

@@ -11,10 +11,11 @@ import trimesh
 
 from gfp_grasp.captures import Capture, complete_capture
 from gfp_grasp.complete import CompleteConfig
-from gfp_grasp.completion import Completion, lowest_support
+from gfp_grasp.completion import CompletedScene, Completion, lowest_support
+from gfp_grasp.detect import Detector
 from gfp_grasp.drawing import Item, items_of, make_item
 from gfp_grasp.envs import Episode
-from gfp_grasp.types import DepthImage
+from gfp_grasp.types import DepthImage, RangeImage, SensorProfile, get_sensor
 
 _UP = np.array([0.0, 0.0, 1.0])
 # Labels of points beside the numbers of objects.
@@ -39,6 +40,7 @@ class ShownScene:
         truths: True meshes in place, one for each object whose truth is known.
         notes: Warnings and failures, a sentence each.
         facts: Further figures, each a name and a value.
+        street: The completed objects of a whole LiDAR scan, where that is what is shown.
     """
 
     title: str
@@ -48,16 +50,30 @@ class ShownScene:
     truths: tuple[trimesh.Trimesh, ...] = ()
     notes: tuple[str, ...] = ()
     facts: tuple[tuple[str, str], ...] = ()
+    street: CompletedScene | None = None
+
+    @property
+    def in_traffic(self) -> bool:
+        """Whether the objects are vehicles and people, which are some 30 times as large as things on tables."""
+        return any(item.completion.detection.sensor.of_traffic for item in self.items)
 
 
 def scene_of_capture(
-    capture: Capture, *, category: str | None = None, config: CompleteConfig | None = None, seed: int = 0
+    capture: Capture,
+    *,
+    category: str | None = None,
+    detector: str | Detector | None = None,
+    sensor: str | SensorProfile = "tabletop",
+    config: CompleteConfig | None = None,
+    seed: int = 0,
 ) -> ShownScene:
-    """Complete a recording and plan grasps on each of its objects.
+    """Complete a recording, and plan grasps on each of its objects unless they are vehicles and people.
 
     Args:
         capture: The recording.
         category: Class of the recording's objects; None lets the classifier choose.
+        detector: As `complete_capture` takes it.
+        sensor: What saw it.
         config: Switches of the completion.
         seed: Seed of every random choice.
 
@@ -67,8 +83,15 @@ def scene_of_capture(
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", UserWarning)
         warnings.simplefilter("always", RuntimeWarning)
-        completions = complete_capture(capture, category=category, config=config, seed=seed)
-        items = items_of(completions, capture.truth, seed=seed)
+        completions = complete_capture(
+            capture, category=category, detector=detector, sensor=sensor, config=config, seed=seed
+        )
+        street = _street_of(completions)
+        if get_sensor(sensor).of_traffic:
+            names = (completions[0].category,) if street is None else street.names
+            items = tuple(Item(name, completion) for name, completion in zip(names, completions, strict=True))
+        else:
+            items = items_of(completions, capture.truth, seed=seed)
     return ShownScene(
         capture.name,
         items,
@@ -76,7 +99,15 @@ def scene_of_capture(
         completions[0].detection.up,
         tuple(item.truth for item in items if item.truth is not None),
         tuple(str(warning.message) for warning in caught),
+        street=street,
     )
+
+
+def _street_of(completions: Sequence[Completion]) -> CompletedScene | None:
+    """The completions as a scene where a whole LiDAR scan is what they come of."""
+    if isinstance(completions, CompletedScene) and isinstance(completions.view, RangeImage):
+        return completions
+    return None
 
 
 def scene_of_episode(episode: Episode, *, title: str, seed: int = 0) -> ShownScene:

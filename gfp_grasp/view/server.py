@@ -17,8 +17,11 @@ import numpy as np
 
 from gfp_grasp.captures import Capture, read_capture
 from gfp_grasp.complete import CompleteConfig
+from gfp_grasp.detect import Detector
+from gfp_grasp.drawing import first_look
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.transforms import rotation_about
+from gfp_grasp.types import SensorProfile
 from gfp_grasp.view.layers import Layers
 from gfp_grasp.view.panels import Panels
 from gfp_grasp.view.scene import ShownScene, scene_of_capture
@@ -37,6 +40,8 @@ def view_capture(
     capture: Capture | str | Path = "sample",
     *,
     category: str | None = None,
+    detector: str | Detector | None = None,
+    sensor: str | SensorProfile = "tabletop",
     config: CompleteConfig | None = None,
     seed: int = 0,
     host: str = HOST,
@@ -45,8 +50,10 @@ def view_capture(
     """Complete a recording, plan grasps on it, and serve a page that shows all of it.
 
     Args:
-        capture: The recording, or its file as `read_capture` takes it; "sample" ships with the package.
+        capture: The recording, or its file as `read_capture` takes it; "sample" and "street" ship with the package.
         category: Class of its one object; None lets the classifier and the fits choose.
+        detector: What finds the objects of a whole picture or scan, as `complete_capture` takes it.
+        sensor: What saw it: "tabletop", or "lidar", whose wide clouds are whole scans.
         config: Switches of the completion, the library of classes among them.
         seed: Seed of every random choice.
         host: Address to listen at.
@@ -61,7 +68,7 @@ def view_capture(
     """
     check_viser()
     capture = capture if isinstance(capture, Capture) else read_capture(capture)
-    shown = scene_of_capture(capture, category=category, config=config, seed=seed)
+    shown = scene_of_capture(capture, category=category, detector=detector, sensor=sensor, config=config, seed=seed)
     viewer = Viewer(capture.name, host=host, port=port)
     viewer.show(shown)
     return viewer
@@ -136,6 +143,11 @@ class Viewer:
         self.stop()
 
     def _look_at(self, shown: ShownScene) -> None:
+        camera = self.server.initial_camera
+        camera.fov, camera.up = _FIELD_RAD, shown.up
+        if shown.street is not None:
+            camera.position, camera.look_at = first_look(shown.street)
+            return
         low, high = _bounds(shown)
         middle, size = (low + high) / 2 + self.headroom_m / 2 * shown.up, float(np.linalg.norm(high - low))
         size += self.headroom_m
@@ -145,8 +157,7 @@ class Viewer:
         away = rotation_about(shown.up, _ASIDE_RAD) @ (_FROM if eye is None else eye - middle)
         away /= max(float(np.linalg.norm(away)), 1e-9)
         away += max(0.0, _LEAST_STEEPNESS - float(away @ shown.up)) * shown.up
-        camera = self.server.initial_camera
-        camera.fov, camera.up, camera.look_at = _FIELD_RAD, shown.up, middle
+        camera.look_at = middle
         camera.position = middle + max(_NEAREST_M, _AWAY_IN_SIZES * size) * away / np.linalg.norm(away)
 
 
