@@ -25,7 +25,7 @@ from gfp_grasp.detect import (
 from gfp_grasp.errors import FitDiverged, InvalidOption, InvalidView, UnknownCategory
 from gfp_grasp.level import level_frame, make_level_view, move_detection
 from gfp_grasp.parallel import one_thread
-from gfp_grasp.plugins import DEFAULT_DETECTOR, SCAN_DETECTOR
+from gfp_grasp.plugins import DEFAULT_DETECTOR, DEFAULT_SCAN_DETECTOR
 from gfp_grasp.recognition import SURE_SCORE, class_is_given, likeliest, recognise, sureness
 from gfp_grasp.transforms import apply_T, invert_T
 from gfp_grasp.types import (
@@ -133,7 +133,7 @@ def complete_scene(
         raise InvalidView(f"image is a {type(image).__name__}; a gfp_grasp.types.DepthImage or RangeImage is expected")
     if isinstance(image, DepthImage):
         checked_pose(image.T_world_camera)
-    detector = detector or (SCAN_DETECTOR if isinstance(image, RangeImage) else DEFAULT_DETECTOR)
+    detector = detector or (DEFAULT_SCAN_DETECTOR if isinstance(image, RangeImage) else DEFAULT_DETECTOR)
     done, failure = [], None
     for detection in on_each_other(get_detector(detector)(image, up=checked_direction(up))):
         try:

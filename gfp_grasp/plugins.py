@@ -9,7 +9,7 @@ from typing import Any
 from gfp_grasp.errors import GfpGraspError
 
 DEFAULT_DETECTOR = "votes"  # finds the objects of a picture where nothing is said,
-SCAN_DETECTOR = "pointrcnn"  # and those of a LiDAR's scan
+DEFAULT_SCAN_DETECTOR = "pointrcnn"  # and those of a LiDAR's scan
 
 
 def imported_function(

@@ -11,7 +11,7 @@ import trimesh
 from gfp_grasp import complete_scene
 from gfp_grasp.camera import cloud_of, intrinsics, render_mesh_view
 from gfp_grasp.captures import read_capture
-from gfp_grasp.detect import DETECTORS, detect_objects, get_detector, make_detection
+from gfp_grasp.detect import DETECTORS, SCAN_DETECTORS, detect_objects, get_detector, make_detection
 from gfp_grasp.errors import InvalidOption, NothingDetected, UnknownDetector
 from gfp_grasp.shapes import make_shape
 from gfp_grasp.transforms import look_at
@@ -55,6 +55,7 @@ def points_only(image: DepthImage, *, up: np.ndarray | None) -> np.ndarray:
 
 def test_tabletop_finds_what_stands_on_a_plane_and_names_no_class() -> None:
     assert list(DETECTORS) == ["tabletop", "votes"]
+    assert list(SCAN_DETECTORS) == ["pointrcnn"]
     found = get_detector("tabletop")(_picture(), up=np.array([0.0, 0.0, 1.0]))
     assert sorted(round(float(d.cloud.points[:, 1].mean()), 1) for d in found) == [LEFT_M, 0.1]
     assert [d.category for d in found] == ["", ""]
@@ -87,7 +88,7 @@ def test_detection_without_a_class_is_classified_when_it_is_completed() -> None:
 
 def test_unknown_detector_is_refused_with_those_on_offer() -> None:
     with pytest.raises(
-        UnknownDetector, match=r"no detector 'magic': expected tabletop, votes, or package.module:function"
+        UnknownDetector, match=r"no detector 'magic': expected tabletop, votes, pointrcnn, or package.module:function"
     ):
         get_detector("magic")
     with pytest.raises(UnknownDetector, match="cannot be imported"):

@@ -214,11 +214,12 @@ def _measured(thing: _Thing, row: str, shapes: Path | None) -> dict[str, Any]:
     to_box = invert_T(thing.box.T_scan_box)
     started = time.perf_counter()
     seen: np.ndarray = apply_T(to_box, thing.points)
+    more: dict[str, Any] = {"named": thing.box.category}
     if row == PARTIAL:
-        surface, more = seen, {"named": thing.box.category}
+        surface = seen
     elif row == WHOLE:
         truth = seen if thing.truth is None else apply_T(to_box, thing.truth)
-        surface, more = _whole_in_box(truth, thing.box, shapes), {"named": thing.box.category}
+        surface = _whole_in_box(truth, thing.box, shapes)
     else:
         try:
             done = _completed(thing, row)

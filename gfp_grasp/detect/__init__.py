@@ -7,6 +7,7 @@ from gfp_grasp.detect.boxes import GivenBoxes
 from gfp_grasp.detect.clusters import label_picture, label_points
 from gfp_grasp.detect.detector import (
     DETECTORS,
+    SCAN_DETECTORS,
     DetectConfig,
     Detector,
     detect_objects,
@@ -72,6 +73,7 @@ __all__ = [
     "NUM_POINTS",
     "POOL_POINTS",
     "PROTOTYPES",
+    "SCAN_DETECTORS",
     "Calibration",
     "DetectConfig",
     "Detector",

@@ -250,8 +250,8 @@ def _detect_traffic(image: RangeImage, *, up: np.ndarray | None) -> Sequence[Det
 DETECTORS: Mapping[str, Detector] = {
     "tabletop": partial(detect_objects, config=DetectConfig(classify=False)),
     "votes": partial(detect_objects, config=DetectConfig(classify=False, votes=True)),
-    "pointrcnn": _detect_traffic,
 }
+SCAN_DETECTORS: Mapping[str, Detector] = {"pointrcnn": _detect_traffic}
 
 
 def get_detector(name: str | Detector) -> Detector:
@@ -268,9 +268,10 @@ def get_detector(name: str | Detector) -> Detector:
     """
     if not isinstance(name, str):
         return _checked(name, getattr(name, "__name__", type(name).__name__))
-    if name in DETECTORS:
-        return DETECTORS[name]
-    on_offer = ", ".join(DETECTORS)
+    known = {**DETECTORS, **SCAN_DETECTORS}
+    if name in known:
+        return known[name]
+    on_offer = ", ".join(known)
     function = imported_function(name, what="detector", of="a view", on_offer=on_offer, error=UnknownDetector)
     return _checked(function, name)
 

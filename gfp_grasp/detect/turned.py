@@ -23,7 +23,7 @@ def iou_from_above(boxes: np.ndarray, others: np.ndarray) -> np.ndarray:
     rows, columns = np.nonzero(apart < reach[0][:, None] + reach[1][None])
     if not len(rows):
         return found
-    outlines, other_outlines = shapely.polygons(corners_of(boxes)), shapely.polygons(corners_of(others))
+    outlines, other_outlines = (np.asarray(shapely.polygons(corners_of(some))) for some in (boxes, others))
     common = shapely.area(shapely.intersection(outlines[rows], other_outlines[columns]))
     areas, other_areas = boxes[:, 3] * boxes[:, 4], others[:, 3] * others[:, 4]
     found[rows, columns] = common / np.maximum(areas[rows] + other_areas[columns] - common, 1e-9)

@@ -78,8 +78,10 @@ def draw_street(rng: np.random.Generator, *, num_things: int = 20, split: str = 
     right, left = -lane / 2 - parked, lane * 1.5 + parked
     pavements = rng.uniform(*_PAVEMENT_M, size=2)
     backs = right - pavements[0], left + pavements[1]
-    rows = tuple((rng.uniform(*_YARD_M), rng.choice(_TURNED_RAD) * rng.choice((-1, 1))) for _ in range(2))
-    plan = RoadPlan(lane / 2, (right, left), backs, parked, rng.uniform(*_KERB_M), rows)
+    row, other_row = (
+        (float(rng.uniform(*_YARD_M)), float(rng.choice(_TURNED_RAD) * rng.choice((-1, 1)))) for _ in range(2)
+    )
+    plan = RoadPlan(lane / 2, (right, left), backs, parked, rng.uniform(*_KERB_M), (row, other_row))
     taken: list[np.ndarray] = [np.array([[-_EGO_M, -lane / 2], [_EGO_M, lane / 2]])]
     things = []
     names = list(IN_STREETS)

@@ -184,13 +184,13 @@ def _second_loss(
     overlap = iou_from_above(rois, truth) if len(truth) else np.zeros((len(rois), 1))
     which, iou = overlap.argmax(axis=1), overlap.max(axis=1)
     index, mask, told = pool(points.cpu().numpy(), rois, rng)
-    some = mask.any(axis=1)
-    rois, which, iou, index, mask, told = (part[some] for part in (rois, which, iou, index, mask, told))
-    if not len(rois):
+    some = np.flatnonzero(mask.any(axis=1))
+    if not len(some):
         return features.sum() * 0.0
-    pooled = torch.cat([features[torch.from_numpy(index)], torch.from_numpy(told).to(device)], dim=-1)
-    start = torch.from_numpy(rois.astype(np.float32)).to(device)
-    sure, odds, moves = network.second(pooled, torch.from_numpy(mask).to(device), start[:, 3:6])
+    which, iou = which[some], iou[some]
+    pooled = torch.cat([features[torch.from_numpy(index[some])], torch.from_numpy(told[some]).to(device)], dim=-1)
+    start = torch.from_numpy(rois[some].astype(np.float32)).to(device)
+    sure, odds, moves = network.second(pooled, torch.from_numpy(mask[some]).to(device), start[:, 3:6])
     low, high = _SURE_IOU
     wanted = torch.from_numpy(np.clip((iou - low) / (high - low), 0, 1).astype(np.float32)).to(device)
     total = functional.binary_cross_entropy_with_logits(sure, wanted)
