@@ -12,7 +12,6 @@ from gfp_grasp.captures.scans import is_scan, scan_of
 from gfp_grasp.complete import CompleteConfig, Completion, complete_scene, complete_to_mesh
 from gfp_grasp.detect import Detector
 from gfp_grasp.errors import InvalidCloud, InvalidOption
-from gfp_grasp.plugins import DEFAULT_DETECTOR
 from gfp_grasp.types import DepthImage, SensorProfile, get_sensor
 
 
@@ -85,9 +84,7 @@ def complete_capture(
     """
     profile = get_sensor(sensor)
     if capture.view is not None and (detector is not None or capture.points is None):
-        return complete_scene(
-            capture.view, up=capture.up, detector=detector or DEFAULT_DETECTOR, config=config, seed=seed
-        )
+        return complete_scene(capture.view, up=capture.up, detector=detector, config=config, seed=seed)
     assert capture.points is not None
     if capture.view is None and (detector is not None or is_scan(capture.points, profile)):
         if profile.step_rad == 0:
@@ -97,8 +94,6 @@ def complete_capture(
             )
         up = None if capture.up_is_assumed else capture.up
         scan, up = scan_of(capture.points, viewpoint=capture.viewpoint, up=up, sensor=profile)
-        if detector is None:  # a scan's default is complete_scene's own
-            return complete_scene(scan, up=up, config=config, seed=seed)
         return complete_scene(scan, up=up, detector=detector, config=config, seed=seed)
     completion = complete_to_mesh(
         capture.points,

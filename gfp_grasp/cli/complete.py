@@ -57,7 +57,7 @@ def complete(
     detector: Annotated[
         str | None,
         typer.Option(
-            help="What finds objects in the whole picture (votes, tabletop) or scan, or your own module:function."
+            help="What finds objects in a picture (votes, tabletop) or scan (pointrcnn), or your own module:function."
         ),
     ] = None,
     sensor: Annotated[
