@@ -194,7 +194,7 @@ def test_a_scan_goes_to_the_detector_as_a_view_and_an_object_does_not(
     (view,), named = scene.only
     assert isinstance(view, RangeImage)
     np.testing.assert_array_equal(named.pop("up"), UP)
-    assert named == {"config": None, "seed": 3}  # the detector is the one of complete_scene
+    assert named == {"detector": None, "config": None, "seed": 3}  # complete_scene chooses one
     car = Capture("b", points[np.abs(apply_T(invert_T(CAR.T_world_box), points)).max(axis=1) < 2.1], up=UP)
     assert complete_capture(car, sensor="lidar") == ("one",)
     assert complete_capture(car, sensor="lidar", detector=car_of) == "scene"
