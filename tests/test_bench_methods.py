@@ -10,8 +10,8 @@ import trimesh
 from bodies import l_shape
 from toy_primitive import toy_cup_primitive
 
-from gfp_grasp.bench import methods
-from gfp_grasp.bench.methods import BRIEF, METHODS, SWITCHES, ObjectView, config_of, in_sight, run_method, view_object
+from gfp_grasp.bench import BRIEF, METHODS, methods
+from gfp_grasp.bench.methods import SWITCHES, ObjectView, config_of, in_sight, run_method, view_object
 from gfp_grasp.camera import SensorModel, intrinsics
 from gfp_grasp.complete import CompleteConfig
 from gfp_grasp.completers import CONFIGS

@@ -7,10 +7,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gfp_grasp.bench.ablation import AblationConfig, bench_ablation
-from gfp_grasp.bench.completion import CompletionConfig, bench_completion
-from gfp_grasp.bench.methods import BRIEF, METHODS, PROTOCOLS, config_of, in_sight, view_object
-from gfp_grasp.bench.speed import SIZES, bench_speed, bench_stability
+from gfp_grasp.bench import (
+    BRIEF,
+    METHODS,
+    AblationConfig,
+    CompletionConfig,
+    bench_ablation,
+    bench_completion,
+    bench_speed,
+    bench_stability,
+)
+from gfp_grasp.bench.methods import PROTOCOLS, config_of, in_sight, view_object
+from gfp_grasp.bench.speed import SIZES
 from gfp_grasp.drawing import write_bars, write_curves, write_operating_curve
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.meshes import sample_surface

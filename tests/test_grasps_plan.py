@@ -7,10 +7,10 @@ import pytest
 import trimesh
 from grasped_bodies import GRIPPER, UP, completion_of, load_of
 
-from gfp_grasp.grasps import GraspConfig, plan
+from gfp_grasp.grasps import GraspConfig, plan, plan_grasps
 from gfp_grasp.grasps.clearance import height_above, hidden_share
 from gfp_grasp.grasps.contact import find_contacts, surface_of
-from gfp_grasp.grasps.plan import cast_closing_lines, plan_grasps, poses_about
+from gfp_grasp.grasps.plan import cast_closing_lines, poses_about
 from gfp_grasp.transforms import make_T, rotation_about
 from gfp_grasp.types import SupportPlane
 

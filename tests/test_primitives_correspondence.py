@@ -6,8 +6,9 @@ import trimesh
 from revolved import QUICK, cup, mug, wall_thickness
 
 from gfp_grasp.errors import InvalidOption
+from gfp_grasp.primitives import bring_into_one_pose
 from gfp_grasp.primitives.correspondence import CorrespondenceConfig, TemplateFitter
-from gfp_grasp.primitives.pose import bring_into_one_pose, stand_up
+from gfp_grasp.primitives.pose import stand_up
 from gfp_grasp.primitives.procrustes import choose_template
 from gfp_grasp.primitives.remesh import refine, remesh
 from gfp_grasp.primitives.surface import surface_distance_m

@@ -10,10 +10,9 @@ from toy_wedge import UP, toy_evidence, wedge_primitive, wedge_state, with_viewp
 
 from gfp_grasp.camera import cast_rays
 from gfp_grasp.errors import FitDiverged
-from gfp_grasp.register import RefineConfig, fit_best, icp_config, pcrnet_config, pruning
+from gfp_grasp.register import RefineConfig, fit_best, icp_config, make_starts, pcrnet_config, pruning
 from gfp_grasp.register.occlusion import blocking_cost, truncation_cost
 from gfp_grasp.register.pruning import Search, distinct_leaders, search_starts, total_cost, within_margin
-from gfp_grasp.register.starts import make_starts
 from gfp_grasp.transforms import rotation_about, rotation_between
 
 # ---- what a state costs beyond the posterior

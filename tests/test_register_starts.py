@@ -11,8 +11,8 @@ from scipy.spatial.transform import Rotation
 from standing_wedge import half_seen_wedge, posed_mesh, standing_wedge, surface_points, whole_view
 from toy_wedge import UP, toy_evidence, wedge_primitive
 
-from gfp_grasp.register import pcrnet
-from gfp_grasp.register.starts import _complete_ends, _cosine_in_picture, make_starts
+from gfp_grasp.register import make_starts, pcrnet
+from gfp_grasp.register.starts import _complete_ends, _cosine_in_picture
 from gfp_grasp.transforms import rotation_about, rotation_between
 from gfp_grasp.types import Symmetry
 
