@@ -3,10 +3,12 @@
 import numpy as np
 import trimesh
 
+from gfp_grasp.transforms import make_T
 from gfp_grasp.types import ConvexPart
 
 TURN = trimesh.transformations.random_rotation_matrix(np.array([0.3, 0.6, 0.1]))[:3, :3]
 AWAY = np.array([0.3, -0.2, 0.5])
+TILTED = make_T(TURN, AWAY)
 
 # A ramp 60 mm long, 40 mm wide and 30 mm high: its slope faces (30, 0, 60).
 WEDGE = 1e-3 * np.array([[0, 0, 0], [60, 0, 0], [0, 40, 0], [60, 40, 0], [0, 0, 30], [0, 40, 30]], dtype=float)
@@ -59,3 +61,8 @@ def together(*meshes: trimesh.Trimesh) -> trimesh.Trimesh:
     starts = np.cumsum([0, *(len(mesh.vertices) for mesh in meshes)])
     faces = [mesh.faces + start for mesh, start in zip(meshes, starts, strict=False)]
     return trimesh.Trimesh(np.concatenate([mesh.vertices for mesh in meshes]), np.concatenate(faces), process=False)
+
+
+def moved(mesh: trimesh.Trimesh, offset: list[float]) -> trimesh.Trimesh:
+    """The mesh somewhere else."""
+    return trimesh.Trimesh(mesh.vertices + offset, mesh.faces, process=False)

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from gfp_grasp.collision.store import CACHE_VARIABLE
+from gfp_grasp.collision import CACHE_VARIABLE
 
 
 @pytest.fixture(scope="session", autouse=True)

@@ -1,7 +1,18 @@
-"""Small cups and mugs with known measures, for the tests of primitives."""
+"""Small cups and mugs with known measures, and a quick build, for the tests of primitives."""
 
 import numpy as np
 import trimesh
+
+from gfp_grasp.primitives import BuildConfig
+from gfp_grasp.primitives.correspondence import CorrespondenceConfig
+from gfp_grasp.primitives.remesh import RemeshConfig
+
+QUICK = BuildConfig(
+    rounds=1,
+    parts=False,
+    correspondence=CorrespondenceConfig(steps=6, rounds=3, num_samples=1200),
+    remesh=RemeshConfig(min_edge=0.027, max_edge=0.1, iterations=4),
+)
 
 
 def cup(*, height=0.1, bottom=0.03, top=0.04, wall=0.003, sections=40):

@@ -9,17 +9,28 @@ from typing import Any
 import pytest
 
 from gfp_grasp import bench
-from gfp_grasp.bench import collision, hollow, hostile, methods, registration, rows
-from gfp_grasp.bench.ablation import ITERATIONS, WIDTHS, AblationConfig
+from gfp_grasp.bench import (
+    AblationConfig,
+    CompletionConfig,
+    HostileConfig,
+    ReadyConfig,
+    RegistrationConfig,
+    collision,
+    hollow,
+    hostile,
+    methods,
+    registration,
+    rows,
+)
+from gfp_grasp.bench.ablation import ITERATIONS, WIDTHS
 from gfp_grasp.bench.collision import PartsRow
-from gfp_grasp.bench.completion import CompletionConfig
 from gfp_grasp.bench.hollow import HollowRow
-from gfp_grasp.bench.hostile import HostileConfig, HostileRow
+from gfp_grasp.bench.hostile import HostileRow
 from gfp_grasp.bench.methods import FORMER_NAMES
 from gfp_grasp.bench.openset import report_of
-from gfp_grasp.bench.ready import ReadyConfig, by_group
+from gfp_grasp.bench.ready import by_group
 from gfp_grasp.bench.ready_rows import SceneRow, ViewRow
-from gfp_grasp.bench.registration import FitRow, RegistrationConfig
+from gfp_grasp.bench.registration import FitRow
 from gfp_grasp.bench.rows import CompletionRow
 from gfp_grasp.completers import COMPLETERS
 from gfp_grasp.envs import TrialSettings

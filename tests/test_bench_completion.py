@@ -4,8 +4,8 @@ from typing import Any
 
 import pytest
 
-from gfp_grasp.bench import CompletionConfig, bench_completion
-from gfp_grasp.bench.methods import FORMER_NAMES, METHODS
+from gfp_grasp.bench import METHODS, CompletionConfig, bench_completion
+from gfp_grasp.bench.methods import FORMER_NAMES
 from gfp_grasp.bench.rows import CompletionRow, paired_gain, summarise, table_one
 from gfp_grasp.errors import InvalidOption
 

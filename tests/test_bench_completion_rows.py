@@ -12,8 +12,7 @@ from bodies import box_part
 from clocks import SteadyClock
 from toy_bodies import refined
 
-from gfp_grasp.bench import completion
-from gfp_grasp.bench.completion import CompletionConfig, bench_completion
+from gfp_grasp.bench import CompletionConfig, bench_completion, completion
 from gfp_grasp.bench.methods import Answer, ObjectView
 from gfp_grasp.errors import FitDiverged, InvalidOption
 from gfp_grasp.meshes import sample_surface

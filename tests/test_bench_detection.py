@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gfp_grasp.bench import detection
-from gfp_grasp.bench.detection import bench_detection, name_capture, name_views
+from gfp_grasp.bench import bench_detection, detection
+from gfp_grasp.bench.detection import name_capture, name_views
 from gfp_grasp.bench.finding import clutter_pictures, room_pictures, table_pictures
 from gfp_grasp.errors import NothingDetected
 from gfp_grasp.train import Example

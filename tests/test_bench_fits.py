@@ -13,9 +13,16 @@ from clocks import SteadyClock
 from torch import nn
 from toy_bodies import primitive_of
 
-from gfp_grasp.bench import ablation, registration
-from gfp_grasp.bench.ablation import ITERATIONS, WIDTHS, AblationConfig, bench_ablation
-from gfp_grasp.bench.registration import FitRow, RegistrationConfig, bench_registration
+from gfp_grasp.bench import (
+    AblationConfig,
+    RegistrationConfig,
+    ablation,
+    bench_ablation,
+    bench_registration,
+    registration,
+)
+from gfp_grasp.bench.ablation import ITERATIONS, WIDTHS
+from gfp_grasp.bench.registration import FitRow
 from gfp_grasp.errors import FitDiverged, InvalidOption
 from gfp_grasp.register import FitConfig
 from gfp_grasp.scenes import shipped_families

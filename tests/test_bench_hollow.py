@@ -8,8 +8,8 @@ import pytest
 import trimesh
 from bodies import box_part, l_shape
 
-from gfp_grasp.bench import hollow
-from gfp_grasp.bench.hollow import HollowRow, bench_hollow
+from gfp_grasp.bench import bench_hollow, hollow
+from gfp_grasp.bench.hollow import HollowRow
 from gfp_grasp.bench.vessels import Inside
 from gfp_grasp.errors import FitDiverged
 from gfp_grasp.types import CollisionMesh, PointCloud

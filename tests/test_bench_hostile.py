@@ -11,8 +11,8 @@ import trimesh
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from gfp_grasp.bench import hostile
-from gfp_grasp.bench.hostile import BAD, HostileConfig, HostileRow, bench_hostile, measure_mesh
+from gfp_grasp.bench import HostileConfig, bench_hostile, hostile
+from gfp_grasp.bench.hostile import BAD, HostileRow, measure_mesh
 from gfp_grasp.bench.hostile_meshes import KINDS, hostile_mesh
 from gfp_grasp.cli import main
 from gfp_grasp.collision import hull

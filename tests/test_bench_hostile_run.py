@@ -12,8 +12,8 @@ import pytest
 import trimesh
 from clocks import SteadyClock
 
-from gfp_grasp.bench import hostile
-from gfp_grasp.bench.hostile import HostileConfig, HostileRow, bench_hostile, measure_mesh
+from gfp_grasp.bench import HostileConfig, bench_hostile, hostile
+from gfp_grasp.bench.hostile import HostileRow, measure_mesh
 from gfp_grasp.bench.hostile_meshes import KINDS
 from gfp_grasp.collision import DecomposeConfig
 from gfp_grasp.errors import DecompositionFailed, InvalidMesh, InvalidOption

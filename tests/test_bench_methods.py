@@ -10,8 +10,8 @@ import trimesh
 from bodies import l_shape
 from toy_primitive import toy_cup_primitive
 
-from gfp_grasp.bench import methods
-from gfp_grasp.bench.methods import BRIEF, METHODS, SWITCHES, ObjectView, config_of, in_sight, run_method, view_object
+from gfp_grasp.bench import BRIEF, METHODS, methods
+from gfp_grasp.bench.methods import SWITCHES, ObjectView, config_of, in_sight, run_method, view_object
 from gfp_grasp.camera import SensorModel, intrinsics
 from gfp_grasp.complete import CompleteConfig
 from gfp_grasp.completers import CONFIGS
@@ -274,7 +274,8 @@ def test_a_method_is_given_the_cloud_and_the_class_that_it_is_told(monkeypatch):
         assert (answer.surface, answer.completion.mesh) == ("mesh", "mesh")  # type: ignore[union-attr]
         points, how = asked[-1]
         assert points is one.cloud.points
-        assert how == {"viewpoint": one.cloud.viewpoint, "category": expected, "config": config_of(name)[0]}
+        told_to = {"category": expected, "sensor": one.sensor, "config": config_of(name)[0]}
+        assert how == {"viewpoint": one.cloud.viewpoint, **told_to}
     run_method("told-icp-sized", one, None, "mug")
     assert asked[-1][1]["config"] == config_of("told-icp-sized", one, "mug")[0]
 
@@ -283,7 +284,8 @@ def test_the_simple_methods_look_at_the_points_and_up_alone(monkeypatch):
     asked: list[Any] = []
     one = tilted()
 
-    def detect(points, *, viewpoint, up):
+    def detect(points, *, viewpoint, up, config):
+        assert config.sensor is one.sensor
         asked.append((points is one.cloud.points, viewpoint is one.cloud.viewpoint, up.tolist()))
         return "detection"
 

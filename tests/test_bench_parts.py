@@ -9,8 +9,8 @@ import pytest
 from bodies import box_part, l_parts, l_shape
 from clocks import SteadyClock
 
-from gfp_grasp.bench import collision
-from gfp_grasp.bench.collision import METHODS, PartsRow, bench_collision, held_steps_per_s
+from gfp_grasp.bench import bench_collision, collision
+from gfp_grasp.bench.collision import METHODS, PartsRow, held_steps_per_s
 from gfp_grasp.collision import DecomposeConfig
 from gfp_grasp.completion import Completion
 from gfp_grasp.errors import FitDiverged, InvalidMesh

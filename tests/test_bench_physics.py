@@ -2,8 +2,8 @@
 
 import pytest
 
-from gfp_grasp.bench.collision import METHODS, bench_collision
-from gfp_grasp.bench.trial import bench_trial
+from gfp_grasp.bench import bench_collision, bench_trial
+from gfp_grasp.bench.collision import METHODS
 from gfp_grasp.errors import InvalidOption
 
 

@@ -13,8 +13,8 @@ from bodies import box_part
 from clocks import SteadyClock
 from toy_completions import toy_image
 
-from gfp_grasp.bench import ready, sights
-from gfp_grasp.bench.ready import HIDDEN, ReadyConfig, bench_ready
+from gfp_grasp.bench import ReadyConfig, bench_ready, ready, sights
+from gfp_grasp.bench.ready import HIDDEN
 from gfp_grasp.bench.ready_rows import SceneRow, ViewRow
 from gfp_grasp.bench.sights import Sight, SightAnswer, answers_to, see_object, see_scene
 from gfp_grasp.completers import CompletionInParts, Oracle

@@ -7,9 +7,10 @@ from typing import Any
 
 import pytest
 
-from gfp_grasp.bench.ready import ReadyConfig, by_group
+from gfp_grasp.bench import ReadyConfig, check_pages, ready_cells, ready_headings, write_pages
+from gfp_grasp.bench.ready import by_group
 from gfp_grasp.bench.ready_rows import SceneRow, ViewRow, summarise
-from gfp_grasp.bench.ready_table import check_pages, ready_cells, ready_headings, with_tables, write_pages
+from gfp_grasp.bench.ready_table import with_tables
 from gfp_grasp.errors import InvalidOption
 
 ROOT = Path(__file__).resolve().parents[1]

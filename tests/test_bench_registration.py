@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
-from gfp_grasp.bench.registration import RegistrationConfig, _errors, bench_registration
+from gfp_grasp.bench import RegistrationConfig, bench_registration
+from gfp_grasp.bench.registration import _errors
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.shapes import HOUSEHOLD
-from gfp_grasp.train.views import render_views, shape_source
+from gfp_grasp.train import render_views, shape_source
 from gfp_grasp.transforms import make_T, rotation_about
 from gfp_grasp.types import FittedPrimitive
 

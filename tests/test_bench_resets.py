@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 import trimesh
 
-from gfp_grasp.bench.speed import bench_resets
+from gfp_grasp.bench import bench_resets
 from gfp_grasp.errors import InvalidOption
 
 # What a heap in pieces may add over 270 resets; episodes that stay a while add more than twice this.

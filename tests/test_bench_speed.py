@@ -10,8 +10,8 @@ from bodies import l_shape
 from clocks import SteadyClock
 from scipy.spatial import KDTree
 
-from gfp_grasp.bench import speed
-from gfp_grasp.bench.speed import bench_resets, bench_speed, bench_stability, resident_mb
+from gfp_grasp.bench import bench_resets, bench_speed, bench_stability, speed
+from gfp_grasp.bench.speed import resident_mb
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.register import FitConfig, icp_config, pcrnet_config
 from gfp_grasp.transforms import apply_T, make_T, rotation_about

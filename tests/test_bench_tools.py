@@ -7,19 +7,30 @@ from typing import Any
 import numpy as np
 import pytest
 
-from gfp_grasp.bench.ablation import AblationConfig, bench_ablation
-from gfp_grasp.bench.completion import CompletionConfig, bench_completion
-from gfp_grasp.bench.methods import BRIEF, METHODS, PROTOCOLS, config_of, in_sight, view_object
-from gfp_grasp.bench.speed import SIZES, bench_speed, bench_stability
+from gfp_grasp.bench import (
+    BRIEF,
+    METHODS,
+    AblationConfig,
+    CompletionConfig,
+    bench_ablation,
+    bench_completion,
+    bench_speed,
+    bench_stability,
+)
+from gfp_grasp.bench.methods import PROTOCOLS, config_of, in_sight, view_object
+from gfp_grasp.bench.speed import SIZES
 from gfp_grasp.drawing import write_bars, write_curves, write_operating_curve
-from gfp_grasp.errors import InvalidOption
+from gfp_grasp.errors import InvalidOption, TooFewPoints
 from gfp_grasp.meshes import sample_surface
 from gfp_grasp.shapes import make_shape
+from gfp_grasp.transforms import apply_T, invert_T
+from gfp_grasp.types import LIDAR
 
 
 def test_protocols_show_the_same_object_as_they_say():
     mesh = make_shape("bottle", 3).mesh
-    sights = {name: view_object(mesh, np.random.default_rng(4), protocol=name) for name in PROTOCOLS}
+    tabletop = [name for name in PROTOCOLS if name != "lidar"]
+    sights = {name: view_object(mesh, np.random.default_rng(4), protocol=name) for name in tabletop}
     points = {name: len(sight.cloud.points) for name, sight in sights.items()}
     assert 0.4 * points["standard"] < points["hidden"] < 0.6 * points["standard"]
     tall = {name: float(np.ptp(sight.mesh.vertices[:, 2])) for name, sight in sights.items()}
@@ -29,6 +40,24 @@ def test_protocols_show_the_same_object_as_they_say():
     for sight in sights.values():  # all of the cloud belongs to the object, within the noise
         extent = np.ptp(sight.mesh.vertices, axis=0)
         assert (sight.cloud.points > sight.mesh.bounds[0] - 0.02 - 0.05 * extent).all()
+
+
+def test_a_car_is_scanned_where_it_stands_from_a_road_s_distance():
+    mesh = make_shape("car", 3).mesh
+    for seed in range(4):
+        sight = view_object(mesh, np.random.default_rng(seed), protocol="lidar")
+        assert sight.sensor is LIDAR
+        assert sight.image is None
+        assert sight.cloud.viewpoint is not None
+        assert sight.cloud.viewpoint[2] == 1.73
+        np.testing.assert_allclose(sight.mesh.bounds[0, 2], 0.0, atol=1e-9)
+        nearest = np.linalg.norm(sight.cloud.points[:, :2] - sight.cloud.viewpoint[:2], axis=1).min()
+        assert 6.9 < nearest < 19
+        local = apply_T(invert_T(sight.T_world_object), sight.cloud.points)
+        assert (local > mesh.bounds[0] - 0.12).all()  # noise of 2 cm along the ray
+        assert (local < mesh.bounds[1] + 0.12).all()
+    with pytest.raises(TooFewPoints, match="in each of 20 scans"):
+        view_object(make_shape("cup", 3).mesh, np.random.default_rng(0), protocol="lidar")
 
 
 def test_points_behind_the_object_are_not_in_sight():

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from clocks import SteadyClock
 
-from gfp_grasp.bench import trial
-from gfp_grasp.bench.trial import TrialRow, bench_trial, creep_mps, fetch_steps_per_s
+from gfp_grasp.bench import bench_trial, trial
+from gfp_grasp.bench.trial import TrialRow, creep_mps, fetch_steps_per_s
 from gfp_grasp.envs import TrialSettings
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.scenes import TARGET

@@ -12,8 +12,9 @@ from scipy import ndimage
 mujoco = pytest.importorskip("mujoco")
 
 from gfp_grasp import camera  # noqa: E402
+from gfp_grasp.camera import render_depth  # noqa: E402
 from gfp_grasp.camera.opengl_probe import opengl_backend  # noqa: E402
-from gfp_grasp.camera.render import _same_in_opengl, render_depth  # noqa: E402
+from gfp_grasp.camera.render import _same_in_opengl  # noqa: E402
 from gfp_grasp.errors import InvalidOption  # noqa: E402
 from gfp_grasp.transforms import look_at  # noqa: E402
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from moments import assert_known
+from tilted_table import UP
 
 from gfp_grasp import clouds
 from gfp_grasp.clouds import (
@@ -15,6 +16,7 @@ from gfp_grasp.clouds import (
     thin_index,
     voxel_grid,
 )
+from gfp_grasp.transforms import rotation_between
 
 
 def _sheet(count: int, seed: int = 0) -> np.ndarray:
@@ -115,3 +117,31 @@ def test_axes_and_normals_of_neighbourhoods_are_those_of_old() -> None:
     few, _ = local_axes(points[:5], points[:1], num_neighbours=16)
     centred = points[:5] - points[:5].mean(axis=0)
     np.testing.assert_allclose(few[0], np.linalg.eigvalsh(centred.T @ centred), atol=1e-12)
+
+
+def test_of_two_points_as_near_their_mean_the_same_one_is_kept_whatever_the_order():
+    cells = np.stack(np.meshgrid(*[np.arange(12)] * 3), axis=-1).reshape(-1, 3)
+    points = np.concatenate([cells * 0.3 + 0.1, cells * 0.3 + (0.13, 0.14, 0.12)])
+    count = int(len(cells) * 0.95)
+    first = thin(points, count)
+    assert len(first) < len(points)
+    for seed in range(3):
+        order = np.random.default_rng(seed).permutation(len(points))
+        assert np.array_equal(thin(points[order], count), first)
+
+
+def test_each_kept_point_is_the_nearest_to_the_mean_of_its_cell():
+    near, far = np.array([[0.0, 0.0, 0.0], [0.2, 0.0, 0.0], [0.5, 0.0, 0.0]]), np.array([[10.0, 10.0, 0.0]])
+    assert thin(np.concatenate([near, far, near + np.array([0, 10.0, 0])]), 3).tolist() == [
+        [0.2, 0, 0],
+        [0.2, 10, 0],
+        [10, 10, 0],
+    ]
+
+
+def test_normals_of_a_tilted_plane_are_its_own():
+    rng = np.random.default_rng(4)
+    R = rotation_between((0, 0, 1), UP)
+    points = np.column_stack([rng.uniform(-1, 1, (500, 2)), np.zeros(500)]) @ R.T + 3.0
+    for viewpoint, sign in ((points.mean(axis=0) + 2 * UP, 1), (points.mean(axis=0) - 2 * UP, -1)):
+        assert np.allclose(estimate_normals(points, points[:50], viewpoint), sign * UP, atol=1e-9)

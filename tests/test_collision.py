@@ -11,10 +11,18 @@ import pytest
 import trimesh
 
 from gfp_grasp.bench.hostile_meshes import hostile_mesh
-from gfp_grasp.collision import DecomposeConfig, decompose, hull
-from gfp_grasp.collision.convex import MIN_THICKNESS_M, convex_part, convex_parts, needed_corners
-from gfp_grasp.collision.fidelity import union_error_m, volume_ratios
-from gfp_grasp.collision.parts import PartFaces, volume_m3, within_parts
+from gfp_grasp.collision import (
+    MIN_THICKNESS_M,
+    DecomposeConfig,
+    convex_part,
+    decompose,
+    hull,
+    union_error_m,
+    within_parts,
+)
+from gfp_grasp.collision.convex import convex_parts, needed_corners
+from gfp_grasp.collision.fidelity import volume_ratios
+from gfp_grasp.collision.parts import PartFaces, volume_m3
 from gfp_grasp.errors import DecompositionFailed, InvalidMesh, InvalidOption
 from gfp_grasp.types import ConvexPart
 

@@ -7,9 +7,9 @@ import pytest
 import trimesh
 from test_collision_deformed import CUP, FLOOR, HEIGHT, INNER, TEMPLATE, completed, primitive, tapered
 
-from gfp_grasp.collision import CollisionConfig, collision_of, deform_parts, hull
+from gfp_grasp.collision import CollisionConfig, collision_of, convex_part, deform_parts, hull
 from gfp_grasp.collision.choice import _levels
-from gfp_grasp.collision.convex import convex_part, fewer_corners
+from gfp_grasp.collision.convex import fewer_corners
 from gfp_grasp.collision.fidelity import ball_radii_m, barycentric_hold, widest_gap
 from gfp_grasp.collision.levels import groups_of, merge_tree
 from gfp_grasp.collision.parts import PartFaces, volume_m3

@@ -9,9 +9,8 @@ import trimesh
 from bodies import AWAY, WEDGE, box_part, l_parts, l_shape
 from test_collision_deformed import TEMPLATE, completed
 
-from gfp_grasp.collision import CollisionConfig, choice, collision_of
+from gfp_grasp.collision import CollisionConfig, choice, collision_of, convex_part
 from gfp_grasp.collision.choice import _decomposed_or, _is_true, _levels
-from gfp_grasp.collision.convex import convex_part
 from gfp_grasp.collision.parts import volume_m3
 from gfp_grasp.types import CollisionMesh, CompletedShape, GenericPrimitive
 

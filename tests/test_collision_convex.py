@@ -5,8 +5,9 @@ import pytest
 import trimesh
 from bodies import AWAY, SLOPE, TURN, WEDGE, WEDGE_M3, box_part
 
-from gfp_grasp.collision.convex import convex_part, convex_parts, fewer_corners, needed_corners, within_bounds
-from gfp_grasp.collision.parts import PartFaces, parts_from_arrays, parts_to_arrays, volume_m3, within_parts
+from gfp_grasp.collision import convex_part, parts_from_arrays, parts_to_arrays, within_bounds, within_parts
+from gfp_grasp.collision.convex import convex_parts, fewer_corners, needed_corners
+from gfp_grasp.collision.parts import PartFaces, volume_m3
 from gfp_grasp.errors import InvalidMesh
 from gfp_grasp.types import CollisionMesh, ConvexPart
 

@@ -5,8 +5,7 @@ import pytest
 import trimesh
 from bodies import AWAY, WEDGE, WEDGE_M3, l_parts, l_shape, trough
 
-from gfp_grasp.collision import CollisionConfig, cut_parts, quick_parts, union_error_m, within_parts
-from gfp_grasp.collision.convex import convex_part
+from gfp_grasp.collision import CollisionConfig, convex_part, cut_parts, quick_parts, union_error_m, within_parts
 from gfp_grasp.collision.cutting import _measured, _solid
 from gfp_grasp.collision.parts import volume_m3
 from gfp_grasp.errors import InvalidMesh

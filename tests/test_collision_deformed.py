@@ -8,11 +8,18 @@ import trimesh
 from bodies import AWAY, TURN
 from scipy.spatial import KDTree
 
-from gfp_grasp.collision import DecomposeConfig, collision_of, decompose, deform_parts, with_binding
-from gfp_grasp.collision.convex import convex_part
+from gfp_grasp.collision import (
+    DecomposeConfig,
+    collision_of,
+    convex_part,
+    decompose,
+    deform_parts,
+    union_error_m,
+    with_binding,
+    within_parts,
+)
 from gfp_grasp.collision.deformed import _barycentric, _on_surface, _thinned
-from gfp_grasp.collision.fidelity import union_error_m
-from gfp_grasp.collision.parts import PartFaces, volume_m3, within_parts
+from gfp_grasp.collision.parts import PartFaces, volume_m3
 from gfp_grasp.errors import DecompositionFailed, InvalidMesh
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.types import (

@@ -5,8 +5,8 @@ import pytest
 import trimesh
 from bodies import AWAY, TURN, WEDGE, box_part, l_parts, l_shape, trough
 
-from gfp_grasp.collision.convex import convex_part
-from gfp_grasp.collision.fidelity import ball_radii_m, union_error_m, volume_ratios, widest_gap
+from gfp_grasp.collision import convex_part, union_error_m
+from gfp_grasp.collision.fidelity import ball_radii_m, volume_ratios, widest_gap
 from gfp_grasp.collision.parts import PartFaces
 from gfp_grasp.types import ConvexPart
 

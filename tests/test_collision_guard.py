@@ -15,16 +15,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from gfp_grasp.collision import DecomposeConfig, decompose
+from gfp_grasp.collision import DecomposeConfig, close_workers, decompose, idle_pids
 from gfp_grasp.collision.engines import guard
-from gfp_grasp.collision.engines.guard import (
-    ChildLostError,
-    close_workers,
-    idle_pids,
-    receive_message,
-    run_guarded,
-    send_message,
-)
+from gfp_grasp.collision.engines.guard import ChildLostError, receive_message, run_guarded, send_message
 from gfp_grasp.errors import Cancelled, DecompositionFailed, InvalidMesh
 
 QUICK = DecomposeConfig(mcts_iterations=60, mcts_nodes=10, resolution=1000, cache=False)

@@ -15,13 +15,23 @@ from test_collision_deformed import CUP, TEMPLATE, completed, primitive, tapered
 from toy_bodies import l_body, refined
 
 from gfp_grasp import collision
-from gfp_grasp.collision import CollisionConfig, DecomposeConfig, attempts, choice, decomposition, deform_parts
+from gfp_grasp.collision import (
+    CollisionConfig,
+    DecomposeConfig,
+    attempts,
+    choice,
+    convex_part,
+    cut_parts,
+    decomposition,
+    deform_parts,
+    union_error_m,
+)
 from gfp_grasp.collision.choice import _ball, _measured, _said
-from gfp_grasp.collision.convex import _directions, convex_part, convex_parts, fewer_corners, needed_corners
+from gfp_grasp.collision.convex import _directions, convex_parts, fewer_corners, needed_corners
 from gfp_grasp.collision.cutting import _measured as measured_piece
-from gfp_grasp.collision.cutting import _planes, _solid, cut_parts
+from gfp_grasp.collision.cutting import _planes, _solid
 from gfp_grasp.collision.deformed import _thinned, bind_parts
-from gfp_grasp.collision.fidelity import ball_radii_m, barycentric_hold, union_error_m, volume_ratios, widest_gap
+from gfp_grasp.collision.fidelity import ball_radii_m, barycentric_hold, volume_ratios, widest_gap
 from gfp_grasp.collision.levels import levels_of
 from gfp_grasp.collision.parts import PartFaces, diagonal_m
 from gfp_grasp.errors import InvalidOption

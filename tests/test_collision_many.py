@@ -13,8 +13,7 @@ import pytest
 import trimesh
 from test_collision_guard import LINUX, children, runs, wait_for
 
-from gfp_grasp.collision import DecomposeConfig, decompose, decompose_many
-from gfp_grasp.collision.engines.guard import close_workers
+from gfp_grasp.collision import DecomposeConfig, close_workers, decompose, decompose_many
 from gfp_grasp.errors import Cancelled, DecompositionFailed, InvalidMesh, InvalidOption
 from gfp_grasp.types import CollisionMesh
 

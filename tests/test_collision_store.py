@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 import trimesh
 
-from gfp_grasp.collision import DecomposeConfig, decompose, hull, store
+from gfp_grasp.collision import CACHE_VARIABLE, DecomposeConfig, decompose, hull, key_of, read_parts, store, write_parts
 from gfp_grasp.collision.engines.guard import ChildLostError, run_guarded
-from gfp_grasp.collision.store import CACHE_VARIABLE, decomposition_key, key_of, read_parts, write_parts
+from gfp_grasp.collision.store import decomposition_key
 from gfp_grasp.types import CollisionMesh
 
 QUICK = DecomposeConfig(mcts_iterations=60, mcts_nodes=10, resolution=1000)

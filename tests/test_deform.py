@@ -11,13 +11,16 @@ from gfp_grasp.deform import (
     NUM_SOURCE,
     NUM_TEMPLATE,
     DeformConfig,
+    PaperNet,
+    PatchNet,
     SnakeConfig,
     deform,
     evolve,
+    make_network,
     make_patches,
     template_points,
 )
-from gfp_grasp.deform.gfpnet import NUM_FIT, PaperNet, PatchNet, make_network
+from gfp_grasp.deform.gfpnet import NUM_FIT
 from gfp_grasp.deform.patches import blend
 from gfp_grasp.deform.shape import damp_until_solid, diffuse
 from gfp_grasp.errors import InvalidOption

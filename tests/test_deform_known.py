@@ -14,6 +14,7 @@ from gfp_grasp.deform import (
     BELIEF,
     DeformConfig,
     PaperNet,
+    PatchAnswer,
     PatchNet,
     SnakeConfig,
     deform,
@@ -28,7 +29,7 @@ from gfp_grasp.deform import (
     solve_change,
     template_points,
 )
-from gfp_grasp.deform.gfpnet import PatchAnswer, change_field
+from gfp_grasp.deform.gfpnet import change_field
 from gfp_grasp.deform.patches import blend
 from gfp_grasp.deform.shape import _blend_sigma, _offsets_to, damp_until_solid, diffuse, patch_tensors
 from gfp_grasp.errors import InvalidOption

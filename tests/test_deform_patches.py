@@ -12,12 +12,13 @@ from gfp_grasp.deform import (
     NUM_PATCHES,
     NUM_SOURCE,
     NUM_TEMPLATE,
+    Patches,
     TemplatePoints,
     make_patches,
     patch_layout,
     patch_unit_m,
 )
-from gfp_grasp.deform.patches import Patches, blend
+from gfp_grasp.deform.patches import blend
 from gfp_grasp.meshes import vertex_normals
 from gfp_grasp.primitives import PrimitiveLibrary
 

@@ -31,7 +31,7 @@ from gfp_grasp.demo.jobs import table_frame
 from gfp_grasp.demo.page import write_page
 from gfp_grasp.drawing import Item
 from gfp_grasp.metrics import completion_errors
-from gfp_grasp.scenes.objects import mesh_sha256
+from gfp_grasp.scenes import mesh_sha256
 from gfp_grasp.transforms import apply_T
 from gfp_grasp.types import CollisionMesh, ConvexPart, TrueObject
 

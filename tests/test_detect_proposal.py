@@ -9,7 +9,8 @@ import torch
 from gfp_grasp.detect import Look, ProposalNet, features, look, seen_frame, size_of, turned_cloud, with_surface
 from gfp_grasp.level import make_level_view, move_detection
 from gfp_grasp.primitives import PrimitiveLibrary
-from gfp_grasp.register.starts import make_starts, proposed_starts
+from gfp_grasp.register import make_starts
+from gfp_grasp.register.starts import proposed_starts
 from gfp_grasp.transforms import apply_T, invert_T, make_T, rotation_about
 from gfp_grasp.types import Detection, OrientedBox, PointCloud, Proposal, SupportPlane
 

@@ -8,8 +8,7 @@ import trimesh
 
 from gfp_grasp.bench.finding import clutter_pictures
 from gfp_grasp.camera import SensorModel, apply_sensor, intrinsics, render_mesh_view
-from gfp_grasp.detect import DetectConfig, detect_objects, detect_single
-from gfp_grasp.detect.clusters import label_picture
+from gfp_grasp.detect import DetectConfig, detect_objects, detect_single, label_picture
 from gfp_grasp.detect.tables import Table, find_table, keep_on_table, noise_growth
 from gfp_grasp.errors import NothingDetected
 from gfp_grasp.transforms import look_at, make_T, rotation_about

@@ -6,8 +6,7 @@ import trimesh
 from recorded_calls import Recorder, recorded
 from toy_completions import toy_completion, toy_errors, toy_fit, toy_grasps, toy_item
 
-from gfp_grasp.drawing import gripper_mesh, items_of, joined_boxes, make_item, plan_among
-from gfp_grasp.drawing.items import Item
+from gfp_grasp.drawing import Item, gripper_mesh, items_of, joined_boxes, make_item, plan_among
 from gfp_grasp.grasps import Gripper
 
 

@@ -1,8 +1,11 @@
 """The environment on a plain cylinder, and on the user's own completers."""
 
+import inspect
 import pickle
+import pydoc
 import time
 import warnings
+from dataclasses import fields
 from typing import Any
 
 import gymnasium
@@ -13,7 +16,7 @@ from gymnasium.utils.env_checker import check_env
 from gymnasium.vector import AutoresetMode
 
 import gfp_grasp
-from gfp_grasp.envs import GfpGraspEnv
+from gfp_grasp.envs import EnvConfig, GfpGraspEnv
 from gfp_grasp.errors import InvalidAction, InvalidOption, UnknownCompleter
 from gfp_grasp.grasps import plan_grasps
 from gfp_grasp.transforms import make_T
@@ -306,3 +309,12 @@ def test_vectors_step_and_reset_in_the_same_step(folder, mode):
 def test_the_package_registers_the_environment():
     assert gfp_grasp.__name__ == "gfp_grasp"
     assert gymnasium.spec("GfpGrasp-v0").max_episode_steps is None
+
+
+def test_the_constructor_shows_its_options_with_types_and_defaults():
+    shown = inspect.signature(GfpGraspEnv).parameters
+    assert list(shown) == [option.name for option in fields(EnvConfig)]
+    assert shown["clutter"].default == 0
+    assert shown["clutter"].annotation == "int"
+    assert all(option.kind is inspect.Parameter.KEYWORD_ONLY for option in shown.values())
+    assert "clutter: 'int' = 0" in pydoc.plain(pydoc.render_doc(GfpGraspEnv))

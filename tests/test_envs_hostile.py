@@ -15,8 +15,7 @@ import trimesh
 from trimesh.exchange.ply import export_ply
 
 from gfp_grasp.detect import DetectConfig, detect_objects
-from gfp_grasp.envs import GfpGraspEnv
-from gfp_grasp.envs.spaces import ActionCode
+from gfp_grasp.envs import ActionCode, GfpGraspEnv
 from gfp_grasp.errors import InvalidAction, InvalidMesh, InvalidOption, InvalidScene, UnreadableFile
 from gfp_grasp.scenes import SceneObject, load_objects
 from gfp_grasp.score import ScoreConfig, score

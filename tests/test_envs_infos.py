@@ -11,9 +11,8 @@ from bodies import box_part, l_shape
 
 from gfp_grasp.camera import intrinsics
 from gfp_grasp.completion import Completion
-from gfp_grasp.envs import EnvConfig, GfpGraspEnv, grasp_env
-from gfp_grasp.envs.episode import Randomisation
-from gfp_grasp.envs.spaces import NUM_ACTION, ActionCode
+from gfp_grasp.envs import ActionCode, EnvConfig, GfpGraspEnv, Randomisation, grasp_env
+from gfp_grasp.envs.spaces import NUM_ACTION
 from gfp_grasp.errors import InvalidAction, InvalidMesh, InvalidOption
 from gfp_grasp.transforms import make_T
 from gfp_grasp.types import CollisionMesh, CompletedShape, DepthImage, Grasp, Outcome, TrueObject

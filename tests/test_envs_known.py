@@ -9,8 +9,8 @@ from bodies import box_part, l_shape
 
 from gfp_grasp.camera import SensorModel, intrinsics
 from gfp_grasp.completers import Oracle
-from gfp_grasp.envs import EnvConfig, episode
-from gfp_grasp.envs.episode import Randomisation, draw_episode
+from gfp_grasp.envs import EnvConfig, Randomisation, episode
+from gfp_grasp.envs.episode import draw_episode
 from gfp_grasp.errors import AssetMissing, FitDiverged, InvalidOption
 from gfp_grasp.scenes import TARGET
 from gfp_grasp.transforms import make_T, rotation_about

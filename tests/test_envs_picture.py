@@ -5,11 +5,14 @@ from types import SimpleNamespace
 import mujoco.viewer
 import numpy as np
 import pytest
+import trimesh
 
 from gfp_grasp.camera import intrinsics
-from gfp_grasp.envs import picture
-from gfp_grasp.envs.picture import OVERVIEW, HumanView, has_display, shade
-from gfp_grasp.transforms import look_at
+from gfp_grasp.envs import picture, shade
+from gfp_grasp.envs.picture import OVERVIEW, HumanView, has_display
+from gfp_grasp.scenes import SceneObject, World
+from gfp_grasp.transforms import look_at, make_T
+from gfp_grasp.types import ConvexPart
 
 LAMP = np.array([0.3, -0.5, 0.8]) / np.sqrt(0.98)
 RGBA = np.array([[1.0, 0.5, 0.25, 1.0], [0.2, 0.4, 0.8, 1.0]])
@@ -159,3 +162,22 @@ def test_another_model_has_another_window_and_the_last_is_closed_once(windows):
     assert [window.closed for window in opened] == [1, 1]
     view.show("other", data)  # type: ignore[arg-type]
     assert len(opened) == 3
+
+
+def test_a_picture_is_brighter_where_the_lamp_shines_and_sky_where_nothing_is():
+    ball = trimesh.creation.icosphere(3, radius=0.1)
+    part = ConvexPart(ball.vertices, ball.faces)
+    world = World([SceneObject("ball", (part,), None, make_T(t=(0, 0, 0.3)), 0.2, 0.5, fixed=True)])
+    camera = look_at((0.0, -0.6, 0.3), (0.0, 0.0, 0.3))
+    picture = shade(world.model, world.data, width=80, height=60, T_world_camera=camera, fov_deg=40.0)
+    assert picture.shape == (60, 80, 3)
+    top, left, middle, foot = picture[18, 40], picture[30, 26], picture[30, 40], picture[41, 40]
+    assert tuple(picture[0, 0]) == (int(255 * 0.92), int(255 * 0.94), int(255 * 0.97))
+    assert top.sum() > middle.sum() > foot.sum()  # the lamp is above, to the front right
+    assert picture[30, 54].sum() > left.sum()
+    full, dark = 255 * np.array([0x4F, 0x7C, 0xAC]) / 255, 0.45 * np.array([0x4F, 0x7C, 0xAC])
+    assert (picture[15:45, 25:55].max(axis=(0, 1)) <= 255).all()
+    np.testing.assert_allclose(foot, dark, atol=3)
+    ball_pixels = picture[20:40, 30:50].reshape(-1, 3).astype(float)
+    assert (ball_pixels <= full + 1).all()
+    assert ball_pixels.max() > 0.9 * full.max()

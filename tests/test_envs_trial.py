@@ -7,7 +7,7 @@ import trimesh
 from gfp_grasp.bench.trial import creep_mps
 from gfp_grasp.envs import TrialSettings, run_trial
 from gfp_grasp.errors import InvalidOption, InvalidScene
-from gfp_grasp.grasps.config import Gripper
+from gfp_grasp.grasps import Gripper
 from gfp_grasp.scenes import SceneObject, World, build_scene, compile_scene
 from gfp_grasp.transforms import make_T
 from gfp_grasp.types import REASONS, ConvexPart, Grasp

@@ -10,8 +10,8 @@ import trimesh
 from bodies import box_part
 
 from gfp_grasp.errors import InvalidOption
-from gfp_grasp.export import SUFFIXES, MassProperties, export_completion, mass_properties
-from gfp_grasp.export.formats import Body, replacing, to_text, write_meshes, write_mjcf, write_urdf
+from gfp_grasp.export import SUFFIXES, Body, MassProperties, export_completion, mass_properties
+from gfp_grasp.export.formats import replacing, to_text, write_meshes, write_mjcf, write_urdf
 
 WEDGE = trimesh.Trimesh(
     [[0, 0, 0], [0.6, 0, 0], [0, 0.4, 0], [0, 0, 0.3]], [[0, 2, 1], [0, 1, 3], [0, 3, 2], [1, 2, 3]], process=False

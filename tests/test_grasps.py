@@ -8,9 +8,8 @@ import real_data
 import trimesh
 
 from gfp_grasp.errors import InvalidOption
-from gfp_grasp.grasps import GraspConfig, Gripper, get_planner, plan_grasps, plan_top_down
+from gfp_grasp.grasps import Box, GraspConfig, Gripper, get_planner, plan_grasps, plan_top_down
 from gfp_grasp.grasps.clearance import clearance_around, height_above, hidden_share
-from gfp_grasp.grasps.config import Box
 from gfp_grasp.grasps.contact import find_contacts, load_ratio
 from gfp_grasp.meshes import load_mesh, sample_surface
 from gfp_grasp.transforms import apply_T, make_T, rotation_about

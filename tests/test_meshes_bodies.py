@@ -3,13 +3,10 @@
 import numpy as np
 import pytest
 import trimesh
-from bodies import TURN, l_shape, together
+from bodies import TILTED, l_shape, together
 
 from gfp_grasp.meshes import load_mesh, make_solid
 from gfp_grasp.meshes.bodies import closed_bodies, outward
-from gfp_grasp.transforms import make_T
-
-TILTED = make_T(TURN, (0.3, -0.2, 0.5))
 
 
 def block(low: tuple[float, ...], high: tuple[float, ...]) -> trimesh.Trimesh:

@@ -5,14 +5,11 @@ import time
 import numpy as np
 import pytest
 import trimesh
-from bodies import TURN, l_shape, together
+from bodies import TILTED, l_shape, together
 
 from gfp_grasp.errors import DecompositionFailed
 from gfp_grasp.meshes import make_solid, repair_mesh
 from gfp_grasp.meshes.simplify import MOST_FACES, MOST_MOVED
-from gfp_grasp.transforms import make_T
-
-TILTED = make_T(TURN, (0.3, -0.2, 0.5))
 
 
 @pytest.fixture(scope="module")

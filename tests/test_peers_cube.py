@@ -9,6 +9,7 @@ from gfp_grasp.peers import (
     ENLARGED,
     ENLARGED_TRUE,
     Cube,
+    Seen,
     cell_middles,
     cube_of_box,
     cube_of_seen,
@@ -17,7 +18,7 @@ from gfp_grasp.peers import (
     tidied,
     true_box,
 )
-from gfp_grasp.peers.seen import Seen, distance_to_points, empty_cells, fixed_number, occupied_cells
+from gfp_grasp.peers.seen import distance_to_points, empty_cells, fixed_number, occupied_cells
 from gfp_grasp.transforms import apply_T, make_T, rotation_about
 from gfp_grasp.types import PointCloud
 

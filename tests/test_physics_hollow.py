@@ -5,7 +5,7 @@ import pytest
 import real_data
 import trimesh
 
-from gfp_grasp.bench.hollow import bench_hollow
+from gfp_grasp.bench import bench_hollow
 from gfp_grasp.bench.methods import view_object
 from gfp_grasp.bench.vessels import Inside, drop_marble, handle_hole, hangs, inside_of, tilt_deg
 from gfp_grasp.collision import DecomposeConfig, decompose, hull

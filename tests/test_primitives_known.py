@@ -14,11 +14,11 @@ from toy_primitive import random_cup, toy_cup_primitive
 from toy_wedge import wedge_primitive
 
 from gfp_grasp.meshes import vertex_normals
-from gfp_grasp.primitives import BuildConfig, fit_full_surface
-from gfp_grasp.primitives.evaluate import _yaws, measure_primitive, specificity_m
-from gfp_grasp.primitives.pose import _body, _circle, bring_into_one_pose, stand_up
+from gfp_grasp.primitives import BuildConfig, bring_into_one_pose, detect_symmetry, fit_full_surface, measure_primitive
+from gfp_grasp.primitives.evaluate import _yaws, specificity_m
+from gfp_grasp.primitives.pose import _body, _circle, stand_up
 from gfp_grasp.primitives.procrustes import align, centroid_size, choose_template, generalized, shape_model
-from gfp_grasp.primitives.regions import _fill, detect_symmetry, enclosed, label_regions, without_part
+from gfp_grasp.primitives.regions import _fill, enclosed, label_regions, without_part
 from gfp_grasp.primitives.remesh import refine
 from gfp_grasp.transforms import rotation_about
 from gfp_grasp.types import BODY_REGIONS, INSIDE, Symmetry

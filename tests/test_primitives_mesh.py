@@ -9,7 +9,8 @@ from revolved import cup, mug, wall_thickness
 
 from gfp_grasp.errors import BuildFailed, InvalidMesh, InvalidOption
 from gfp_grasp.meshes import crossing_faces, vertex_normals
-from gfp_grasp.primitives.regions import detect_symmetry, label_regions, without_part
+from gfp_grasp.primitives import detect_symmetry
+from gfp_grasp.primitives.regions import label_regions, without_part
 from gfp_grasp.primitives.remesh import RemeshConfig, refine, remesh
 from gfp_grasp.primitives.resample import ResampleConfig, resample
 from gfp_grasp.primitives.surface import Surface, folded_faces, surface_distance_m, untangle

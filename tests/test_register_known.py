@@ -16,6 +16,7 @@ from gfp_grasp.register import (
     RefineConfig,
     fit_primitive,
     icp_config,
+    make_starts,
     network_input,
     pcrnet_config,
 )
@@ -23,7 +24,7 @@ from gfp_grasp.register.fit import try_circular
 from gfp_grasp.register.occlusion import EDGES, _straight_edge, cut_off
 from gfp_grasp.register.posterior import shape_model
 from gfp_grasp.register.refine import evaluate_states, refine
-from gfp_grasp.register.starts import _frame, make_starts
+from gfp_grasp.register.starts import _frame
 from gfp_grasp.register.state import surface_samples
 from gfp_grasp.register.terms import circular_share, ellipticity_gram
 from gfp_grasp.types import TABLETOP, LevelView

@@ -7,11 +7,11 @@ import pytest
 from toy_primitive import toy_cup_primitive
 from toy_wedge import toy_evidence, wedge_primitive, wedge_state
 
-from gfp_grasp.register import FitConfig, RefineConfig
+from gfp_grasp.register import FitConfig, PoseShape, RefineConfig
 from gfp_grasp.register import length as room
 from gfp_grasp.register.length import LengthTerm, hidden_end, settle_length
 from gfp_grasp.register.posterior import NormalEquations, StateSurface, shape_model
-from gfp_grasp.register.state import PoseShape, StateBatch, surface_samples
+from gfp_grasp.register.state import StateBatch, surface_samples
 from gfp_grasp.transforms import rotation_about
 from gfp_grasp.types import LevelView
 

@@ -10,11 +10,10 @@ from gfp_grasp.bench.methods import view_object
 from gfp_grasp.detect import detect_single
 from gfp_grasp.level import make_level_view
 from gfp_grasp.primitives import PrimitiveLibrary
-from gfp_grasp.register import FitConfig, RefineConfig, fit_best, fit_primitive
+from gfp_grasp.register import FitConfig, RefineConfig, fit_best, fit_primitive, make_starts
 from gfp_grasp.register.occlusion import cut_off
 from gfp_grasp.register.posterior import evaluate_costs, linearise, shape_model
 from gfp_grasp.register.refine import evaluate_states, refine
-from gfp_grasp.register.starts import make_starts
 from gfp_grasp.register.state import StateBatch
 from gfp_grasp.register.terms import circular_share, ellipticity_gram, find_nearest, make_terms
 from gfp_grasp.shapes import make_shape, split_seeds

@@ -1,19 +1,24 @@
-"""Samples of a wedge in two states: how a step moves them, along the object's own axes; and which faces look back."""
+"""Samples of a surface: where they lie, how a step moves them, which faces look back, what lies on a handle."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import trimesh
+from scipy.spatial import KDTree
 from scipy.spatial.transform import Rotation
-from toy_wedge import NUM_MODES, NUM_SAMPLES, derivative, face_normals, positions, wedge_primitive, wedge_state
+from tilted_table import UP
+from toy_wedge import NUM_MODES, NUM_SAMPLES, face_normals, positions, toy_evidence, wedge_primitive, wedge_state
+from wedge_terms import jacobian
 
 from gfp_grasp.camera import cast_rays
 from gfp_grasp.meshes import triangle_normals
+from gfp_grasp.register import part_is_seen
 from gfp_grasp.register.occlusion import _faces_toward
 from gfp_grasp.register.posterior import NormalEquations, StateSurface, shape_model
 from gfp_grasp.register.state import StateBatch, surface_samples
-from gfp_grasp.types import INSIDE
+from gfp_grasp.transforms import apply_T, make_T
+from gfp_grasp.types import BODY_REGIONS, INSIDE, FittedPrimitive
 
 STATES = (
     wedge_state(),
@@ -28,11 +33,6 @@ STATES = (
 
 def surface() -> StateSurface:
     return StateSurface(StateBatch.of(STATES, NUM_MODES), shape_model(wedge_primitive(), NUM_SAMPLES, NUM_MODES))
-
-
-def jacobian(state) -> np.ndarray:
-    """(NUM_SAMPLES, 3, 9 + k) in the world, by differences."""
-    return derivative(lambda changed: positions(changed, wedge_primitive()), state)
 
 
 def test_samples_and_normals_are_those_of_each_state():
@@ -136,3 +136,64 @@ def test_normals_of_triangles_are_twice_their_area_long_and_may_move_in_many_way
     found = triangle_normals(many)
     assert found.shape == (4, 7, 3)
     np.testing.assert_allclose(found[2, 5], triangle_normals(many[2:3, :, 5])[0])
+
+
+def test_samples_of_the_normals_are_those_of_the_moved_faces():
+    state, primitive = wedge_state(), wedge_primitive()
+    surface = StateSurface(StateBatch.of([state], 3), shape_model(primitive, 60, 3))
+    assert surface.world[0] == pytest.approx(positions(state, primitive))
+    assert surface.normals[0] == pytest.approx(face_normals(state, primitive), abs=1e-9)
+
+
+def test_samples_lie_on_the_surface_in_proportion_to_its_area_and_follow_the_modes():
+    primitive = wedge_primitive()
+    samples = surface_samples(primitive, 400)
+    corners = primitive.vertices[primitive.faces]
+    area = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    for side in range(3):
+        for end in (0, 1):
+            part = np.abs(corners[..., side] - np.sort(corners[..., side].ravel())[-end]).max(axis=1) < 1e-9
+            share = area[part].sum() / area.sum()
+            assert (part[samples.face]).mean() == pytest.approx(share, abs=0.02)
+    assert samples.weights.min() >= 0
+    assert samples.weights.sum(axis=1) == pytest.approx(np.ones(400))
+    coefficients = np.array([1.0, -2.0, 0.5])
+    moved = primitive.shape(coefficients, np.ones(3))[primitive.faces[samples.face]]
+    expected = np.einsum("mc,mcd->md", samples.weights, moved)
+    assert samples.local(coefficients) == pytest.approx(expected)
+    state = wedge_state()
+    assert positions(state, primitive) == pytest.approx(
+        apply_T(
+            make_T(state.R, state.t), np.exp(state.log_scale) * surface_samples(primitive, 60).local(state.coefficients)
+        )
+    )
+
+
+def test_a_handle_is_seen_where_enough_points_lie_on_it_and_off_the_body():
+    primitive = wedge_primitive()
+    x = primitive.vertices[:, 0]
+    primitive = replace(
+        primitive, regions=np.where(x > 0.06, 2, 0).astype(np.uint8), region_names=(*BODY_REGIONS, "handle"), spec=None
+    )
+    state = wedge_state()
+    fit = FittedPrimitive(
+        primitive, make_T(state.R, state.t), np.exp(state.log_scale), state.coefficients, residual_m=0.001
+    )
+    samples = surface_samples(primitive)
+    world = state.world(samples.local(state.coefficients))
+    held = (primitive.on_region("handle")[primitive.faces[samples.face]]).all(axis=1)
+    off_body = np.flatnonzero(held & (KDTree(world[~held]).query(world)[0] > 0.012))
+    near_body = np.flatnonzero(held & (KDTree(world[~held]).query(world)[0] < 0.004))
+    body = world[~held][:200]
+    normal = UP
+
+    def seen(points) -> bool:
+        return part_is_seen(fit, "handle", toy_evidence(np.concatenate([body, points])))
+
+    assert seen(world[off_body[:6]] + 0.006 * normal)
+    assert not seen(world[off_body[:5]])
+    assert not seen(world[near_body[:50]])
+    assert not seen(world[off_body[:50]] + 0.05 * normal)
+    for regions in (np.zeros(len(x)), np.full(len(x), 2)):
+        bare = replace(fit, primitive=replace(primitive, regions=regions.astype(np.uint8)))
+        assert not part_is_seen(bare, "handle", toy_evidence(world))

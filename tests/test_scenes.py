@@ -9,9 +9,7 @@ mujoco = pytest.importorskip("mujoco")
 
 from gfp_grasp import scenes  # noqa: E402
 from gfp_grasp.assets import data_dir  # noqa: E402
-from gfp_grasp.collision import hull  # noqa: E402
-from gfp_grasp.collision.cutting import cut_parts  # noqa: E402
-from gfp_grasp.collision.store import CACHE_VARIABLE  # noqa: E402
+from gfp_grasp.collision import CACHE_VARIABLE, cut_parts, hull  # noqa: E402
 from gfp_grasp.errors import InvalidMesh, InvalidOption, InvalidScene, UnreadableFile  # noqa: E402
 from gfp_grasp.scenes import handles, objects  # noqa: E402
 from gfp_grasp.transforms import apply_T, invert_T, make_T, rotation_about  # noqa: E402

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from gfp_grasp.shapes import make_shape
+from gfp_grasp.shapes import Shape, make_shape
 from gfp_grasp.shapes.blocks import block, lattice, patch_of
 from gfp_grasp.shapes.grafts import PATCH_ROWS, SEGMENTS, with_long_handle
 from gfp_grasp.shapes.handles import LongHandle, half_loop, long_handle
@@ -12,7 +12,6 @@ from gfp_grasp.shapes.lids import under_lid
 from gfp_grasp.shapes.loft import rows
 from gfp_grasp.shapes.matched import matched, space_discs
 from gfp_grasp.shapes.patches import with_cap
-from gfp_grasp.shapes.shape import Shape
 from gfp_grasp.shapes.spouts import drawn_out
 from gfp_grasp.shapes.vessel import Vessel
 

@@ -10,8 +10,9 @@ from scipy.spatial import Delaunay
 from toy_bodies import l_body, refined
 from toy_wedge import toy_evidence
 
+from gfp_grasp.deform import stand_on, stood
 from gfp_grasp.deform.shape import _stood_again
-from gfp_grasp.deform.standing import _centre_of_mass, _margin_m, stand_on, stood
+from gfp_grasp.deform.standing import _centre_of_mass, _margin_m
 from gfp_grasp.transforms import rotation_about
 from gfp_grasp.types import TABLETOP
 

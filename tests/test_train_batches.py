@@ -11,7 +11,7 @@ from toy_examples import EXAMPLES, OTHERS
 
 from gfp_grasp.detect import POOL_POINTS, seen_frame, size_of
 from gfp_grasp.errors import InvalidOption
-from gfp_grasp.train import ProposalConfig
+from gfp_grasp.train import Example, ProposalConfig, above_table
 from gfp_grasp.train.proposal_batches import (
     Targets,
     _augmented,
@@ -22,7 +22,7 @@ from gfp_grasp.train.proposal_batches import (
     placed_in_seen_frame,
     seen_cloud,
 )
-from gfp_grasp.train.proposal_data import TABLE, UP, Example, Placed, above_table
+from gfp_grasp.train.proposal_data import TABLE, UP, Placed
 from gfp_grasp.transforms import apply_T, rotation_about
 
 EYE = np.array([0.4, 0.0, 0.3])

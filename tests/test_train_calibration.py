@@ -15,11 +15,20 @@ from toy_examples import EXAMPLES, example
 from gfp_grasp.detect import Calibration, Look, ProposalNet, Prototypes, look, mixture
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.shapes import make_shape
-from gfp_grasp.train import ProposalConfig, calibration, proposal, prototypes
+from gfp_grasp.train import (
+    Example,
+    ProposalConfig,
+    above_table,
+    calibration,
+    make_prototypes,
+    proposal,
+    prototypes,
+    with_prototypes,
+)
 from gfp_grasp.train.calibration import calibrate, embedded, measure
 from gfp_grasp.train.proposal import _loss, _pose_loss, _prototypes, _WithProxies
-from gfp_grasp.train.proposal_data import TABLE, UP, VIEWS, Example, above_table
-from gfp_grasp.train.prototypes import _member, cluster, make_prototypes, with_prototypes
+from gfp_grasp.train.proposal_data import TABLE, UP, VIEWS
+from gfp_grasp.train.prototypes import _member, cluster
 from gfp_grasp.train.views import views_of_mesh
 
 LIBRARY = PrimitiveLibrary.shipped()

@@ -14,19 +14,18 @@ from torch import nn
 from gfp_grasp.classfree import NUM_CHANNELS, REACH, DistanceNet
 from gfp_grasp.errors import InvalidOption, NoSurface, UnknownCategory
 from gfp_grasp.shapes import FAMILIES, MIXTURES, TRAFFIC, split_seeds
-from gfp_grasp.train import ClassfreeConfig, measure_against_hull, summarise_against_hull, train_classfree
-from gfp_grasp.train.classfree import calibrate_scales, field_batches, field_loss
-from gfp_grasp.train.classfree_data import (
-    PLAIN,
-    SeenThing,
+from gfp_grasp.train import (
+    ClassfreeConfig,
+    HullRow,
     Thing,
-    cached_samples,
     draw_things,
-    read_sample,
-    sample_of,
-    seen_things,
+    measure_against_hull,
+    summarise_against_hull,
+    train_classfree,
 )
-from gfp_grasp.train.classfree_measure import HullRow, position_errors_m
+from gfp_grasp.train.classfree import calibrate_scales, field_batches, field_loss
+from gfp_grasp.train.classfree_data import PLAIN, SeenThing, cached_samples, read_sample, sample_of, seen_things
+from gfp_grasp.train.classfree_measure import position_errors_m
 from gfp_grasp.types import CompletedShape
 
 SMALL = ClassfreeConfig(steps=2, batch=2, width=8, depth=1, members=1, mixtures=1, views=1, bf16=False)

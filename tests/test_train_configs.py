@@ -18,13 +18,25 @@ from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.register import FitConfig
 from gfp_grasp.scenes import shipped_families
 from gfp_grasp.shapes import FAMILIES, TRAFFIC
-from gfp_grasp.train import LIDAR_CONFIG, ProposalConfig, gfpnet, pcrnet, proposal
-from gfp_grasp.train.gfpnet import GFPNET_CONFIGS, measure_paper, paper_loss, patches_of_split, train_gfpnet
+from gfp_grasp.train import (
+    GFPNET_CONFIGS,
+    LIDAR_CONFIG,
+    PCRNET_CONFIG,
+    Example,
+    ProposalConfig,
+    gfpnet,
+    paper_loss,
+    patches_of_split,
+    pcrnet,
+    proposal,
+    train_gfpnet,
+    train_pcrnet,
+    train_proposal,
+)
+from gfp_grasp.train.gfpnet import measure_paper
 from gfp_grasp.train.loop import training_key
-from gfp_grasp.train.pcrnet import PCRNET_CONFIG, train_pcrnet
-from gfp_grasp.train.proposal import train_proposal
 from gfp_grasp.train.proposal_batches import Targets
-from gfp_grasp.train.proposal_data import VIEWS, Example
+from gfp_grasp.train.proposal_data import VIEWS
 from gfp_grasp.types import LIDAR, TABLETOP
 
 LIBRARY = PrimitiveLibrary.shipped()

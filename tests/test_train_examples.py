@@ -11,10 +11,10 @@ import trimesh
 from gfp_grasp.scenes import ObjectSource
 from gfp_grasp.shapes import Family, foreign_kinds, get_family, make_shape
 from gfp_grasp.shapes.assorted import _MAKERS
-from gfp_grasp.train import assorted_examples, class_examples
+from gfp_grasp.train import View, assorted_examples, class_examples
 from gfp_grasp.train import proposal_data as module
 from gfp_grasp.train.proposal_data import VIEWS, _order, part_in_view
-from gfp_grasp.train.views import View, config_id
+from gfp_grasp.train.views import config_id
 from gfp_grasp.transforms import apply_T, make_T, rotation_about
 
 EYE = np.array([0.4, 0.0, 0.3])

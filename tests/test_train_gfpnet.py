@@ -6,22 +6,22 @@ import numpy as np
 import pytest
 import torch
 
-from gfp_grasp.deform import TemplatePoints, make_patches
-from gfp_grasp.deform.gfpnet import (
-    NUM_FIT,
+from gfp_grasp.deform import (
     Levers,
     PatchAnswer,
     PatchNet,
-    change_field,
+    TemplatePoints,
     fit_features,
     make_levers,
+    make_patches,
     solve_change,
 )
+from gfp_grasp.deform.gfpnet import NUM_FIT, change_field
 from gfp_grasp.deform.shape import patch_tensors
 from gfp_grasp.primitives import PrimitiveLibrary
+from gfp_grasp.train import shuffled
 from gfp_grasp.train.gfpnet import _field, point_loss
 from gfp_grasp.train.labels import Label
-from gfp_grasp.train.loop import shuffled
 from gfp_grasp.train.patch_data import Objects, PrimitiveTable, augmented, object_of
 from gfp_grasp.types import FittedPrimitive, GenericPrimitive
 

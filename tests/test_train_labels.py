@@ -15,9 +15,9 @@ from gfp_grasp.meshes import sample_surface, vertex_normals
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.register import FitConfig
 from gfp_grasp.scenes import ObjectSource
+from gfp_grasp.train import View
 from gfp_grasp.train import labels as module
 from gfp_grasp.train.labels import Label, _cached_label, _card_id, _label, _primitives_of, label_fit, make_labels
-from gfp_grasp.train.views import View
 from gfp_grasp.transforms import apply_T, invert_T, make_T, rotation_about
 from gfp_grasp.types import FittedPrimitive
 

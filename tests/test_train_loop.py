@@ -13,7 +13,8 @@ from safetensors.torch import load_file
 from torch import nn
 
 from gfp_grasp.errors import InvalidOption
-from gfp_grasp.train.loop import LoopConfig, command_line, shuffled, train, write_weights
+from gfp_grasp.train import LoopConfig, shuffled, train
+from gfp_grasp.train.loop import command_line, write_weights
 
 CONFIG = LoopConfig(steps=1, batch=2, rate=0.01, bf16=False)
 

@@ -9,14 +9,12 @@ import torch
 from moments import assert_known
 from torch import Tensor, nn
 
-from gfp_grasp.deform import TemplatePoints
-from gfp_grasp.deform.gfpnet import BELIEF, PatchAnswer, PatchNet
+from gfp_grasp.deform import BELIEF, PatchAnswer, PatchNet, TemplatePoints
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.primitives import PrimitiveLibrary
-from gfp_grasp.train import gfpnet
-from gfp_grasp.train.gfpnet import _lap, _measure, _surface_error, _unlikelihood, mean_mm, paper_loss, point_loss
+from gfp_grasp.train import gfpnet, paper_loss, shuffled
+from gfp_grasp.train.gfpnet import _lap, _measure, _surface_error, _unlikelihood, mean_mm, point_loss
 from gfp_grasp.train.labels import Label
-from gfp_grasp.train.loop import shuffled
 from gfp_grasp.train.patch_data import Objects, PrimitiveTable, augmented, load_objects, object_of, single_patches
 
 LIBRARY = PrimitiveLibrary.shipped()

@@ -10,10 +10,9 @@ from scipy.spatial.transform import Rotation
 from toy_primitive import toy_cup_primitive
 
 from gfp_grasp.primitives import PrimitiveLibrary
-from gfp_grasp.register.pcrnet import PCRNet, rotation_of
-from gfp_grasp.register.state import PoseShape
+from gfp_grasp.register import PCRNet, PoseShape, rotation_of
+from gfp_grasp.train import ViewsConfig, render_views, shape_source
 from gfp_grasp.train.pcrnet import _is_near, _jittered, _loss, _measure, _samples, _truth, augmented
-from gfp_grasp.train.views import ViewsConfig, render_views, shape_source
 from gfp_grasp.transforms import make_T, rotation_about
 from gfp_grasp.types import Symmetry
 

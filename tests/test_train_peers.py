@@ -12,8 +12,8 @@ from scipy.spatial import KDTree
 from gfp_grasp.assets import data_dir
 from gfp_grasp.camera import cast_rays
 from gfp_grasp.errors import InvalidOption, UnknownCategory
-from gfp_grasp.peers import PEERS, AmortisedFit, ShapePrior, make_network, read_network, weights_stem
-from gfp_grasp.peers.sc import corrupted, likelihood_loss, log_distance, shape_channels
+from gfp_grasp.peers import PEERS, AmortisedFit, ShapePrior, likelihood_loss, make_network, read_network, weights_stem
+from gfp_grasp.peers.sc import corrupted, log_distance, shape_channels
 from gfp_grasp.shapes import FAMILIES, HOUSEHOLD, IN_PAPER
 from gfp_grasp.train import PEER_CONFIGS, PeerConfig, render_views, shape_source, train_peer
 from gfp_grasp.train.peer_data import PeerView, cached_truth, in_cube, peer_views

@@ -9,9 +9,17 @@ import torch
 
 from gfp_grasp.detect import CELL_M, StreetNet
 from gfp_grasp.errors import InvalidOption
-from gfp_grasp.train import PointRCNNConfig, StreetScan, measure_pointrcnn, read_street, street_of_kitti
-from gfp_grasp.train.pointrcnn import _CROP, _UNSAID, _batches, _crop, pointrcnn_loss, train_pointrcnn
-from gfp_grasp.train.street_data import render_street, write_street
+from gfp_grasp.train import (
+    PointRCNNConfig,
+    StreetScan,
+    measure_pointrcnn,
+    read_street,
+    render_street,
+    street_of_kitti,
+    train_pointrcnn,
+)
+from gfp_grasp.train.pointrcnn import _CROP, _UNSAID, _batches, _crop, pointrcnn_loss
+from gfp_grasp.train.street_data import write_street
 
 NAMES = ("car", "pedestrian")
 

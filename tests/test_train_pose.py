@@ -9,10 +9,11 @@ import torch
 from torch import Tensor
 
 from gfp_grasp.detect import Look, ProposalNet
+from gfp_grasp.train import Example
 from gfp_grasp.train.calibration import measure_pose
 from gfp_grasp.train.proposal import _pose_loss
 from gfp_grasp.train.proposal_batches import _fronts
-from gfp_grasp.train.proposal_data import Example, Placed
+from gfp_grasp.train.proposal_data import Placed
 from gfp_grasp.transforms import rotation_about
 
 NAN = math.nan

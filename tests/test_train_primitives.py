@@ -13,8 +13,9 @@ from toy_primitive import toy_cup_primitive
 from gfp_grasp.errors import InvalidMesh, InvalidOption, UnknownCategory
 from gfp_grasp.primitives import BuildConfig
 from gfp_grasp.shapes import make_shape, split_seeds
+from gfp_grasp.train import build_from_folder, build_from_shapes, procedural_members
 from gfp_grasp.train import primitives as module
-from gfp_grasp.train.primitives import _hold_out, _posed, build_from_folder, build_from_shapes, procedural_members
+from gfp_grasp.train.primitives import _hold_out, _posed
 
 
 @pytest.fixture

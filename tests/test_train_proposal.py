@@ -10,9 +10,9 @@ from gfp_grasp.detect import Look, ProposalNet, class_scores, mixture
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.shapes import make_assorted, make_shape, split_seeds
-from gfp_grasp.train import ProposalConfig, assorted_examples, class_examples, make_prototypes, train_proposal
+from gfp_grasp.train import Example, ProposalConfig, assorted_examples, class_examples, make_prototypes, train_proposal
 from gfp_grasp.train.calibration import calibrate, embedded
-from gfp_grasp.train.proposal_data import VIEWS, Example, part_in_view
+from gfp_grasp.train.proposal_data import VIEWS, part_in_view
 from gfp_grasp.train.prototypes import NUM_PROTOTYPES, cluster
 
 CLASSES = ("bottle", "cup", "glass", "mug")

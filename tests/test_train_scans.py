@@ -8,7 +8,7 @@ import trimesh
 
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.scenes import ObjectSource
-from gfp_grasp.train.scans import ScansConfig, scan_of
+from gfp_grasp.train import ScansConfig, scan_of
 from gfp_grasp.train.views import views_of_mesh
 from gfp_grasp.transforms import apply_T, invert_T
 

@@ -6,15 +6,8 @@ from moments import assert_known
 from toy_bodies import l_body
 
 from gfp_grasp.scenes import ObjectSource
-from gfp_grasp.train.rests import rest_rotation
-from gfp_grasp.train.views import (
-    ViewsConfig,
-    _occlude,
-    across_edge,
-    render_views,
-    shape_source,
-    views_of_mesh,
-)
+from gfp_grasp.train import ViewsConfig, across_edge, render_views, rest_rotation, shape_source
+from gfp_grasp.train.views import _occlude, views_of_mesh
 from gfp_grasp.types import RESTS
 
 

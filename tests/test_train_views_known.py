@@ -9,16 +9,9 @@ import trimesh
 
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.scenes import ObjectSource
+from gfp_grasp.train import View, ViewsConfig, render_views
 from gfp_grasp.train import views as module
-from gfp_grasp.train.views import (
-    View,
-    ViewsConfig,
-    cached_views,
-    config_id,
-    render_views,
-    seed_of,
-    training_sources,
-)
+from gfp_grasp.train.views import cached_views, config_id, seed_of, training_sources
 from gfp_grasp.transforms import apply_T
 
 SMALL = ViewsConfig(width=80, height=60, num_points=200, hidden_share=0.0, fallen_share=0.0)

@@ -10,10 +10,11 @@ from toy_bodies import T_WORLD_OBJECT, l_body
 
 from gfp_grasp.scenes import ObjectSource
 from gfp_grasp.shapes import FAMILIES, get_family, make_shape, split_seeds
+from gfp_grasp.train import View, ViewsConfig, render_views, shape_source
 from gfp_grasp.train import views as module
 from gfp_grasp.train.rests import _flattest_roll, draw_stable_rest, ways_of_shape
 from gfp_grasp.train.rests import ways_of_resting as ways_of
-from gfp_grasp.train.views import View, ViewsConfig, render_views, shape_source, views_of_mesh
+from gfp_grasp.train.views import views_of_mesh
 from gfp_grasp.transforms import apply_T, is_rotation, rotation_about
 from gfp_grasp.types import RESTS
 

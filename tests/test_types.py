@@ -8,19 +8,19 @@ import trimesh
 
 from gfp_grasp.errors import InvalidCloud, InvalidGrasp, InvalidMesh, InvalidOption
 from gfp_grasp.types import (
+    REASONS,
     CategorySpec,
     CompletedShape,
+    DepthImage,
     Detection,
     Grasp,
     OptionalPart,
     OrientedBox,
     PointCloud,
+    Silhouette,
     SupportPlane,
+    default_density,
 )
-from gfp_grasp.types.category import default_density
-from gfp_grasp.types.observation import Silhouette
-from gfp_grasp.types.result import REASONS
-from gfp_grasp.types.views import DepthImage
 
 BOX = OrientedBox(np.eye(4), np.ones(3))
 POINTS = np.random.default_rng(0).normal(size=(50, 3))

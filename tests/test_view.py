@@ -12,11 +12,10 @@ import pytest
 from gfp_grasp.captures import read_capture
 from gfp_grasp.cli.complete import view
 from gfp_grasp.drawing import apart
-from gfp_grasp.envs import GfpGraspEnv
-from gfp_grasp.envs.episode import Episode
+from gfp_grasp.envs import Episode, GfpGraspEnv
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.grasps import Gripper
-from gfp_grasp.view import view_capture, view_episodes
+from gfp_grasp.view import Viewer, view_capture, view_episodes
 from gfp_grasp.view.episodes import FRAMES_PER_S, gripper_meshes, record_trial
 from gfp_grasp.view.layers import (
     GUESSED,
@@ -29,7 +28,7 @@ from gfp_grasp.view.layers import (
 )
 from gfp_grasp.view.panels import item_rows, scale_legend, table
 from gfp_grasp.view.scene import OTHER, SUPPORT, ShownScene, scene_cloud, scene_of_capture, scene_of_episode
-from gfp_grasp.view.server import Viewer, free_port
+from gfp_grasp.view.server import free_port
 
 
 @pytest.fixture(scope="module")

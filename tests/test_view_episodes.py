@@ -11,8 +11,8 @@ from toy_server import Handle, ToyServer, put_toy_in_place_of_viser
 
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.transforms import make_T, quat_wxyz, rotation_about
-from gfp_grasp.view import view_episodes
-from gfp_grasp.view.episodes import EpisodeViewer, Motion, MovingGripper, gripper_meshes, record_trial
+from gfp_grasp.view import EpisodeViewer, view_episodes
+from gfp_grasp.view.episodes import Motion, MovingGripper, gripper_meshes, record_trial
 from gfp_grasp.view.panels import line
 from gfp_grasp.view.scene import ShownScene
 

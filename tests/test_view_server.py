@@ -16,9 +16,9 @@ from gfp_grasp.complete import CompleteConfig
 from gfp_grasp.drawing import Item
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.transforms import rotation_about
-from gfp_grasp.view import view_capture
+from gfp_grasp.view import Viewer, view_capture
 from gfp_grasp.view.scene import ShownScene
-from gfp_grasp.view.server import Viewer, free_port
+from gfp_grasp.view.server import free_port
 
 UP = np.array([0.0, 0.0, 1.0])
 

@@ -4,7 +4,8 @@ import math
 
 import numpy as np
 
-from gfp_grasp.train.proposal_data import Example, Placed
+from gfp_grasp.train import Example
+from gfp_grasp.train.proposal_data import Placed
 from gfp_grasp.transforms import rotation_about
 
 ORDERS = {"tapered": math.inf, "ear": 1, "footed": 4}  # things of other kinds have no axes of their own

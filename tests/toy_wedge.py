@@ -7,7 +7,8 @@ import numpy as np
 import trimesh
 from scipy.spatial.transform import Rotation
 
-from gfp_grasp.register.state import PoseShape, surface_samples
+from gfp_grasp.register import PoseShape
+from gfp_grasp.register.state import surface_samples
 from gfp_grasp.transforms import make_T
 from gfp_grasp.types import (
     OUTSIDE,
