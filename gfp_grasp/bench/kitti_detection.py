@@ -8,12 +8,11 @@ from typing import Any
 import numpy as np
 
 from gfp_grasp.datasets import ALIKE
-from gfp_grasp.detect import find_boxes, inside, iou_from_above
+from gfp_grasp.detect import SURE_BOX, find_boxes, inside, iou_from_above
 from gfp_grasp.train import StreetScan
 
 OVERLAPS = (0.5, 0.7)
 RANGES_M = ((0.0, 15.0), (15.0, 30.0), (30.0, 50.0))
-SURE = 0.5
 _FEWEST_POINTS = 30
 _CLEAR_POINTS, _CLEAR_M = 200, 30.0  # what nobody may miss
 
@@ -41,7 +40,7 @@ class _Scan:
 
     def __init__(self, scan: StreetScan) -> None:
         boxes, scores, self.named = find_boxes(scan.points)
-        sure = scores > SURE
+        sure = scores > SURE_BOX
         self.found, self.named = boxes[sure], self.named[sure]
         self.truth, self.classes = scan.boxes, scan.classes
         in_sight = np.abs(np.arctan2(self.found[:, 1], self.found[:, 0])) < scan.labelled

@@ -36,7 +36,7 @@ if TYPE_CHECKING:
         shares_in,
     )
     from gfp_grasp.detect.instances import InstanceNet, Votes, gather_votes, instance_features, level_picture, vote
-    from gfp_grasp.detect.pointrcnn import detect_traffic, find_boxes, thinned
+    from gfp_grasp.detect.pointrcnn import SURE_BOX, detect_traffic, find_boxes, thinned
     from gfp_grasp.detect.proposal import (
         NUM_CHANNELS,
         NUM_POINTS,
@@ -74,6 +74,7 @@ __all__ = [
     "POOL_POINTS",
     "PROTOTYPES",
     "SCAN_DETECTORS",
+    "SURE_BOX",
     "Calibration",
     "DetectConfig",
     "Detector",
@@ -149,7 +150,7 @@ _WITH_TORCH = {
         ),
         "proposal",
     ),
-    **dict.fromkeys(("detect_traffic", "find_boxes", "thinned"), "pointrcnn"),
+    **dict.fromkeys(("SURE_BOX", "detect_traffic", "find_boxes", "thinned"), "pointrcnn"),
     **dict.fromkeys(
         (
             "CELL_M", "StreetNet", "box_loss", "boxes_of", "picture_from_above", "places_in", "point_features", "pool",

@@ -32,11 +32,12 @@ from gfp_grasp.types import LIDAR, Detection, OrientedBox, RangeImage, SensorPro
 REACH_M = 51.2  # to the front, the back and the sides
 _OWN_M = 2.5  # returns that are nearer come from the vehicle that carries the sensor
 _THIN_M = 0.1
-_LIKELY = 0.05  # score of a point whose box is looked at
+_LIKELY = 0.05  # score of a point whose box is looked at,
+_SQUARE_M = 0.4  # the best of each square of this side
 _MOST_POINTS, _MOST_BOXES, _MOST_FOUND = 1500, 100, 100
-_PROPOSAL_IOU, _FINAL_IOU = 0.5, 0.1
+_PROPOSAL_IOU, _FINAL_IOU = 0.7, 0.1
 _SIDE = int(2 * REACH_M / CELL_M)
-_SURE = 0.5  # score of a box that is completed
+SURE_BOX = 0.6  # score of a box that is believed
 _GROWN_M = 0.1  # by which its sides are moved out, so that what is just beyond them belongs to it
 
 
@@ -77,11 +78,11 @@ def detect_traffic(
     level = seen.road.axes @ (seen.points - image.viewpoint)[..., None]
     there = np.isfinite(seen.height_m)
     boxes, scores, _ = find_boxes(np.column_stack([level[there][..., 0], seen.height_m[there]]))
-    found = things_in(seen, [_box_in_world(box, seen) for box in boxes[scores > _SURE]], None, sensor)
+    found = things_in(seen, [_box_in_world(box, seen) for box in boxes[scores > SURE_BOX]], None, sensor)
     if not found:
         raise NothingDetected(
             f"a road, but neither vehicle nor person on it: the most likely of {len(boxes)} boxes has the score "
-            f"{scores.max(initial=0.0):.2f}, {_SURE:g} is needed, and 30 returns"
+            f"{scores.max(initial=0.0):.2f}, {SURE_BOX:g} is needed, and 30 returns"
         )
     return found
 
@@ -131,8 +132,7 @@ def find_boxes(
         features = network.features_at(seen, places_in(own, torch.from_numpy(corner.astype(np.float32)), shape))
         odds, answer = network.first(features, point_features(own))
         score = torch.sigmoid(odds[0]).amax(dim=-1)
-        likely = torch.topk(score, min(_MOST_POINTS, len(score))).indices
-        likely = likely[score[likely] > _LIKELY]
+        likely = torch.from_numpy(_spread(chosen, score.numpy()))
         boxes = boxes_of(own[0, likely], answer[0, likely]).double().numpy()
         kept = suppress(boxes, score[likely].numpy(), iou=_PROPOSAL_IOU, most=_MOST_BOXES)
         boxes = boxes[kept]
@@ -147,6 +147,15 @@ def find_boxes(
         scores, names = torch.sigmoid(sure).double().numpy(), np.array(classes)[odds.argmax(dim=1).numpy()]
     kept = suppress(boxes, scores, iou=_FINAL_IOU, most=_MOST_FOUND)
     return boxes[kept], scores[kept], names[kept]
+
+
+def _spread(points: np.ndarray, scores: np.ndarray) -> np.ndarray:
+    """Indices of the likely points (n, 3) m, the best of each square of the ground: near things have most points."""
+    order = np.argsort(-scores, kind="stable")
+    order = order[scores[order] > _LIKELY]
+    cells = np.floor(points[order, :2] / _SQUARE_M).astype(np.int64)
+    _, first = np.unique(cells, axis=0, return_index=True)
+    return order[np.sort(first)[:_MOST_POINTS]]
 
 
 def thinned(points: np.ndarray) -> np.ndarray:

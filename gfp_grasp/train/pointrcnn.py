@@ -20,6 +20,7 @@ from torch.nn import functional
 from gfp_grasp.assets import data_dir
 from gfp_grasp.detect import (
     CELL_M,
+    SURE_BOX,
     StreetNet,
     box_loss,
     boxes_of,
@@ -50,8 +51,8 @@ _UNSAID = -2  # what a point is that teaches nothing; -1 is of no thing
 _SURE_IOU = (0.25, 0.75)  # overlaps from which on a box is not quite wrong, and right
 _REFINED_IOU = 0.3
 _VAL_STREETS = 60
-_LEAST_SCORE = 0.3
 _FOUND_IOU = 0.5
+_FEWEST_MEASURED = 30  # points
 
 
 @dataclass(frozen=True)
@@ -315,21 +316,20 @@ def _turned(points: np.ndarray, boxes: np.ndarray, rng: np.random.Generator) -> 
 
 
 def measure_pointrcnn(network: StreetNet, scans: Sequence[StreetScan], classes: Sequence[str]) -> dict[str, float]:
-    """Recall and precision at an overlap of one half, by class, of things with 30 points or more within 50 m."""
+    """Recall and precision at an overlap of one half, by class, of what has 30 points or more."""
     network = network.float().eval()
-    counts: dict[str, np.ndarray] = {name: np.zeros(3) for name in classes}
+    counts = {name: np.zeros(4) for name in classes}  # things, those found, boxes, those right
     for scan in scans:
         boxes, scores, names = find_boxes(scan.points, network=network, classes=classes)
-        boxes, names = boxes[scores > _LEAST_SCORE], names[scores > _LEAST_SCORE]
-        overlap = iou_from_above(boxes, scan.boxes)
-        for n, name in enumerate(scan.classes):
-            near = np.hypot(*scan.boxes[n, :2]) < 50 and inside(scan.points, scan.boxes[n]).sum() >= 30
-            if near and name in counts:
-                counts[str(name)][:2] += 1, bool((overlap[names == name, n] > _FOUND_IOU).any())
-        for row, name in zip(overlap, names, strict=True):
-            counts[str(name)][2] += (row[scan.classes == name] > _FOUND_IOU).any() - 1
+        sure = (scores > SURE_BOX) & (np.abs(np.arctan2(boxes[:, 1], boxes[:, 0])) < scan.labelled)
+        boxes, names = boxes[sure], names[sure]
+        hit = (iou_from_above(boxes, scan.boxes) > _FOUND_IOU) & (names[:, None] == scan.classes[None])
+        for there, category, found, at in ((scan.boxes, scan.classes, hit.T, 0), (boxes, names, hit, 2)):
+            for box, name, right in zip(there, category, found, strict=True):
+                if name in counts and inside(scan.points, box).sum() >= _FEWEST_MEASURED:
+                    counts[str(name)][at : at + 2] += 1, right.any()
     figures: dict[str, float] = {}
-    for name, (there, found, wrong) in counts.items():
-        figures[f"recall_{name}"] = round(found / max(there, 1), 4)
-        figures[f"precision_{name}"] = round(found / max(found - wrong, 1), 4)
+    for name, (things, found, given, right) in counts.items():
+        figures[f"recall_{name}"] = round(float(found / max(things, 1)), 4)
+        figures[f"precision_{name}"] = round(float(right / max(given, 1)), 4)
     return figures
