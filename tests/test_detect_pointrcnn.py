@@ -70,10 +70,9 @@ def test_a_scan_of_another_frame_has_the_same_things(street):
     T = make_T(rotation_about((0, 0, 1), 0.8), (100.0, -20.0, 5.0))
     moved = street.image.moved(T)
     found, same = detect_traffic(street.image), detect_traffic(moved, up=np.array([0.0, 0.0, 1.0]))
-    middles = np.array([one.cloud.points.mean(axis=0) for one in found])
-    others = apply_T(invert_T(T), np.array([one.cloud.points.mean(axis=0) for one in same]))
-    near = np.linalg.norm(middles[:, None] - others[None], axis=2).min(axis=1)
-    assert np.mean(near < 0.3) >= 0.8
+    assert len(found) == len(same) >= 8
+    for one, other in zip(found, same, strict=True):
+        np.testing.assert_allclose(apply_T(invert_T(T), other.cloud.points), one.cloud.points, atol=1e-6)
 
 
 def test_an_empty_street_and_pictures_are_refused():

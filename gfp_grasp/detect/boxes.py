@@ -89,7 +89,7 @@ class SeenScan:
             raise InvalidView(f"image is a {type(image).__name__}; a gfp_grasp.types.RangeImage is expected")
         points, seen = image.points(), image.range_m > 0
         up = image.T_world_sensor[:3, 2] if up is None else up
-        road = find_road(points[seen], up, viewpoint=image.viewpoint)
+        road = find_road(points[seen], up, viewpoint=image.viewpoint, forward=image.T_world_sensor[:3, 0])
         height_m = np.full(image.shape, np.nan)
         height_m[seen] = road.heights(points[seen])
         return cls(image, points, road, height_m)

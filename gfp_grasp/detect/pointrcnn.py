@@ -75,9 +75,9 @@ def detect_traffic(
         NothingDetected: No road, or nothing on it.
     """
     seen = SeenScan.of(image, up, sensor)
-    level = seen.road.axes @ (seen.points - image.viewpoint)[..., None]
     there = np.isfinite(seen.height_m)
-    boxes, scores, _ = find_boxes(np.column_stack([level[there][..., 0], seen.height_m[there]]))
+    level = (seen.points[there] - image.viewpoint) @ seen.road.axes.T
+    boxes, scores, _ = find_boxes(np.column_stack([level, seen.height_m[there]]))
     found = things_in(seen, [_box_in_world(box, seen) for box in boxes[scores > SURE_BOX]], None, sensor)
     if not found:
         raise NothingDetected(

@@ -56,7 +56,9 @@ class Road:
         return SupportPlane(normal, float(normal @ on_road))
 
 
-def find_road(points: np.ndarray, up: np.ndarray, *, viewpoint: np.ndarray | None = None) -> Road:
+def find_road(
+    points: np.ndarray, up: np.ndarray, *, viewpoint: np.ndarray | None = None, forward: np.ndarray | None = None
+) -> Road:
     """The road of a scan.
 
     Args:
@@ -64,13 +66,15 @@ def find_road(points: np.ndarray, up: np.ndarray, *, viewpoint: np.ndarray | Non
         up: (3,), within 15 degrees of the road's normal.
         viewpoint: (3,) m, where the sensor stood; what is farther than 70 m from it does not count. None takes the
             middle of the points.
+        forward: (3,), not along up: the road's first axis, along which the ground is cut into squares, so that the road
+            turns with the sensor; None takes an axis of the frame.
 
     Raises:
         NothingDetected: Too little ground in sight.
     """
     up = up / np.linalg.norm(up)
     origin = points.mean(axis=0) if viewpoint is None else np.asarray(viewpoint, dtype=np.float64)
-    u = np.cross(np.eye(3)[np.abs(up).argmin()], up)
+    u = np.cross(np.eye(3)[np.abs(up).argmin()], up) if forward is None else forward - (forward @ up) * up
     u /= np.linalg.norm(u)
     axes = np.stack([u, np.cross(up, u)])
     local = points - origin
