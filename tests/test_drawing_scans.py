@@ -9,6 +9,7 @@ from toy_street import ROAD_M, THINGS, toy_street
 from gfp_grasp.camera import intrinsics
 from gfp_grasp.completion import CompletedScene
 from gfp_grasp.drawing import ClassColours, draw_scan, first_look, height_greys, level_frame_of, paled, scan_points
+from gfp_grasp.drawing.scans import _with_legend
 from gfp_grasp.transforms import apply_T, invert_T, look_at, make_T, rotation_about
 from gfp_grasp.types import RangeImage
 
@@ -89,3 +90,13 @@ def test_a_picture_without_the_objects_is_grey(scene: CompletedScene) -> None:
     bare = draw_scan(replace(scene, completions=()), width=WIDTH, height=HEIGHT)[:HEIGHT]
     assert np.ptp(bare.astype(int), axis=2).max() <= 3
     assert 0.02 < (bare.mean(axis=2) < 230).mean() < 0.6
+
+
+def test_a_legend_of_many_classes_fits_in_smaller_words() -> None:
+    few, many = (ClassColours.of(names) for names in (["car"], [f"traffic thing {k}" for k in range(7)]))
+    picture = np.zeros((40, 1600, 3), dtype=np.uint8)
+    assert _with_legend(picture, few).shape == (40 + 62, 1600, 3)  # 2.6 times words of 24 px
+    legend = _with_legend(picture, many)[40:]
+    assert 26 <= len(legend) < 62
+    assert (legend[:, -3:] == legend[0, 0]).all()  # nothing reaches the edge
+    assert (legend[:, 1400:-3] != legend[0, 0]).any()

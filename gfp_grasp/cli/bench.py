@@ -64,9 +64,10 @@ def completion(
     report = bench_completion(
         objects, methods=chosen, config=config, known=known, workers=workers, ray=ray, progress=track("views")
     )
+    near = "F at 50 mm" if protocol == "lidar" else "F at 5 mm"
     for category, figures in report["rows"].items():
         table(
-            ("method", "CD, mm", "F at 5 mm", "IoU", "size", "ms", "views", "failed"),
+            ("method", "CD, mm", near, "IoU", "size", "ms", "views", "failed"),
             [(name, *_figures(row)) for name, row in figures.items()],
             title=str(category),
         )

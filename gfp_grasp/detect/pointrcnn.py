@@ -37,7 +37,7 @@ _SQUARE_M = 0.4  # the best of each square of this side
 _MOST_POINTS, _MOST_BOXES, _MOST_FOUND = 1500, 100, 100
 _PROPOSAL_IOU, _FINAL_IOU = 0.7, 0.1
 _SIDE = int(2 * REACH_M / CELL_M)
-SURE_BOX = 0.6  # score of a box that is believed
+SURE_BOX = 0.7  # score of a box that is believed
 _GROWN_M = 0.1  # by which its sides are moved out, so that what is just beyond them belongs to it
 
 

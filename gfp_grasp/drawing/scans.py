@@ -26,6 +26,7 @@ _CLASS_RGB = np.array(
 _PALED = 0.62  # share of white in what was guessed
 _LOW_GREY, _HIGH_GREY = 184.0, 76.0  # of the road, and of what is this high above it:
 _GREY_M = 4.0
+_LEAST_WORDS_PX = 10  # size of the words of a legend
 _PAPER = np.array([250.0, 250.0, 248.0])
 _SHADOW = 0.86  # brightness of the ground in an object's shadow
 _SUN = np.array([-0.38, 0.55, 0.95]) / np.linalg.norm([-0.38, 0.55, 0.95])  # level frame
@@ -205,9 +206,19 @@ def _paint_points(
 
 
 def _with_legend(picture: np.ndarray, colours: ClassColours) -> np.ndarray:
-    """The picture over a strip that names the classes and says what pale and grey mean."""
-    size = max(12, round(picture.shape[1] / 66))
-    strip = Image.new("RGB", (picture.shape[1], round(2.6 * size)), tuple(_PAPER.astype(int)))
+    """The picture over a strip that names the classes and says what pale and grey mean, in words that fit its width."""
+    width = picture.shape[1]
+    largest = max(_LEAST_WORDS_PX, round(width / 66))
+    strips = (_legend(width, size, colours) for size in range(largest, _LEAST_WORDS_PX - 1, -1))
+    strip = next((strip for strip, end in strips if end <= width), None)
+    if strip is None:
+        strip, _ = _legend(width, _LEAST_WORDS_PX, colours)
+    return np.concatenate([picture, np.asarray(strip)])
+
+
+def _legend(width: int, size: int, colours: ClassColours) -> tuple[Image.Image, float]:
+    """A strip in words of a size, px, and where its last word ends."""
+    strip = Image.new("RGB", (width, round(2.6 * size)), tuple(_PAPER.astype(int)))
     draw = ImageDraw.Draw(strip)
     x, y, ink = size, strip.height / 2, (60, 64, 70)
 
@@ -226,8 +237,8 @@ def _with_legend(picture: np.ndarray, colours: ClassColours) -> np.ndarray:
     for name, rgb in colours.rgb.items():
         swatch(rgb, paled(rgb))
         say(f"{name.replace('_', ' ')} {colours.counts[name]}")
-    x = max(x, strip.width - draw.textlength("pale: guessed     points, dark is high", font_size=size) - 3 * size)
+    x = max(x, width - draw.textlength("pale: guessed     points, dark is high", font_size=size) - 3 * size)
     say("pale: guessed")
     swatch(*height_greys(np.array([0.0, _GREY_M])))
     say("points, dark is high")
-    return np.concatenate([picture, np.asarray(strip)])
+    return strip, x - 1.2 * size
