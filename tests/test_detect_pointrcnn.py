@@ -8,6 +8,7 @@ import pytest
 from gfp_grasp.camera import scan_meshes
 from gfp_grasp.complete import complete_scene
 from gfp_grasp.detect import detect_traffic, find_boxes, get_detector, inside, iou_from_above, thinned
+from gfp_grasp.detect.pointrcnn import _with_own_points
 from gfp_grasp.errors import InvalidView, NothingDetected
 from gfp_grasp.scenes import draw_street, scan_street
 from gfp_grasp.transforms import apply_T, invert_T, make_T, rotation_about
@@ -89,6 +90,15 @@ def test_an_empty_street_and_pictures_are_refused():
 def test_what_belongs_to_the_sensor_s_own_vehicle_is_nothing():
     roof = np.random.default_rng(0).uniform((-1.4, -0.8, 0.4), (1.4, 0.8, 1.5), (500, 3))
     assert len(find_boxes(roof)[0]) == 0
+
+
+def test_of_two_boxes_on_either_side_of_one_flank_the_better_is_kept():
+    flank = np.column_stack([np.linspace(8, 12, 50), np.full(50, 3.0), np.full(50, 1.0)])
+    end = np.column_stack([np.full(30, 30.0), np.linspace(-1, 1, 30), np.full(30, 1.0)])
+    left = np.array([10.0, 3.95, 1.0, 4.2, 2.0, 1.6, 0.0])
+    boxes = np.stack([left, left - (0, 1.9, 0, 0, 0, 0, 0), [31.0, 0.0, 1.0, 2.1, 2.1, 1.6, 0.0], left + 50])
+    assert iou_from_above(boxes[:1], boxes[1:2])[0, 0] < 0.1
+    assert _with_own_points(boxes, np.concatenate([flank, end])).tolist() == [True, False, True, False]
 
 
 def test_one_point_of_each_decimetre_is_looked_at():

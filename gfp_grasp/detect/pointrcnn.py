@@ -24,7 +24,7 @@ from gfp_grasp.detect.street_net import (
     pool,
     refined_boxes,
 )
-from gfp_grasp.detect.turned import suppress
+from gfp_grasp.detect.turned import inside, suppress
 from gfp_grasp.errors import NothingDetected
 from gfp_grasp.transforms import make_T, rotation_about
 from gfp_grasp.types import LIDAR, Detection, OrientedBox, RangeImage, SensorProfile
@@ -36,6 +36,7 @@ _LIKELY = 0.05  # score of a point whose box is looked at,
 _SQUARE_M = 0.4  # the best of each square of this side
 _MOST_POINTS, _MOST_BOXES, _MOST_FOUND = 1500, 100, 100
 _PROPOSAL_IOU, _FINAL_IOU = 0.7, 0.1
+_SHARED = 0.5  # of its points, from which on a box shows what a better one shows
 _SIDE = int(2 * REACH_M / CELL_M)
 SURE_BOX = 0.7  # score of a box that is believed
 _GROWN_M = 0.1  # by which its sides are moved out, so that what is just beyond them belongs to it
@@ -146,7 +147,22 @@ def find_boxes(
         boxes = refined_boxes(start, moves).double().numpy()
         scores, names = torch.sigmoid(sure).double().numpy(), np.array(classes)[odds.argmax(dim=1).numpy()]
     kept = suppress(boxes, scores, iou=_FINAL_IOU, most=_MOST_FOUND)
+    kept = kept[_with_own_points(boxes[kept], chosen)]
     return boxes[kept], scores[kept], names[kept]
+
+
+def _with_own_points(boxes: np.ndarray, points: np.ndarray) -> np.ndarray:
+    """Which boxes (m, 7), the best first, hold points (n, 3) m of which no better box has most: (m,) bool.
+
+    Two boxes on either side of one flank hardly overlap.
+    """
+    taken, kept = np.zeros(len(points), dtype=bool), np.zeros(len(boxes), dtype=bool)
+    for row, box in enumerate(boxes):
+        own = inside(points, box, grow_m=_GROWN_M)
+        kept[row] = own.any() and taken[own].mean() < _SHARED
+        if kept[row]:
+            taken |= own
+    return kept
 
 
 def _spread(points: np.ndarray, scores: np.ndarray) -> np.ndarray:
