@@ -68,6 +68,15 @@ def test_figures_are_medians_in_milliseconds():
     }
 
 
+def test_a_stage_that_an_answer_does_without_takes_it_no_time():
+    laps = [{"detect": 0.1, "total": 0.2}, {"detect": 0.1, "classfree": 0.3, "total": 0.5}] * 2 + [
+        {"detect": 0.1, "classfree": 0.4, "total": 0.5}
+    ]
+    stages = speed._figures(laps)["stages_ms"]
+    assert stages == {"detect": 100.0, "classfree": 300.0}
+    assert speed._figures(laps[:3])["stages_ms"]["classfree"] == 0.0
+
+
 def test_clouds_of_three_sizes_are_timed_after_a_lap_that_loads_what_is_loaded_once(folder, seen, monkeypatch):
     timed, registered, remembered, watched = [], [], [], []
 

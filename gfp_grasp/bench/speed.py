@@ -55,8 +55,10 @@ def bench_speed(
         progress: Wraps the stream of clouds.
 
     Returns:
-        {"sizes": {points: {"median_ms", "p95_ms", "stages_ms": {stage: median}}}, "all": the same over all sizes,
-        "registration_ms": {name: median}, "memory": {"calls", "rss_mb": [at ten points of the run]}}.
+        {"sizes": {points: {"median_ms", "p95_ms", "stages_ms": {stage: median, 0 where most answers do without}}},
+        "all": the same over all sizes, "classfree": the same over the answers of no class, where there are some,
+        "registration_ms": {name: median over the objects of a class}, "memory": {"calls", "rss_mb": [at ten points of
+        the run]}}.
     """
     if limit < 1 or calls < 0:
         raise InvalidOption(f"limit is {limit} and calls {calls}; at least one object, and no negative calls")
@@ -70,12 +72,16 @@ def bench_speed(
         for _, cloud in clouds[:3]:  # what is loaded once is loaded
             _timed(cloud)
         timed = {size: [_timed(_of_size(cloud, size)) for _, cloud in watch(clouds, len(clouds))] for size in SIZES}
+        laps = [lap for some in timed.values() for lap in some]
+        without_class = [lap for lap in laps if "classfree" in lap]
         report: dict[str, object] = {
             "objects": len(clouds),
-            "sizes": {str(size): _figures(laps) for size, laps in timed.items()},
-            "all": _figures([lap for laps in timed.values() for lap in laps]),
+            "sizes": {str(size): _figures(some) for size, some in timed.items()},
+            "all": _figures(laps),
             "registration_ms": _registrations(clouds),
         }
+        if without_class:
+            report["classfree"] = {"answers": len(without_class), **_figures(without_class)}
         if calls:
             report["memory"] = _memory([cloud for _, cloud in clouds], calls, watch)
     return report
@@ -148,11 +154,11 @@ def _timed(cloud: PointCloud) -> dict[str, float]:
 
 def _figures(laps: list[dict[str, float]]) -> dict[str, Any]:
     total = np.array([lap["total"] for lap in laps])
-    stages = [stage for stage in laps[0] if stage != "total"]
+    stages = [stage for stage in dict.fromkeys(stage for lap in laps for stage in lap) if stage != "total"]
     return {
         "median_ms": _ms(np.median(total)),
         "p95_ms": _ms(np.quantile(total, 0.95)),
-        "stages_ms": {stage: _ms(np.median([lap[stage] for lap in laps])) for stage in stages},
+        "stages_ms": {stage: _ms(np.median([lap.get(stage, 0.0) for lap in laps])) for stage in stages},
     }
 
 
@@ -165,7 +171,10 @@ def _registrations(clouds: list[tuple[str, PointCloud]]) -> dict[str, float]:
             make_level_view(detect_single(c.points, viewpoint=c.viewpoint, category=category)),
         )
         for category, c in clouds
+        if category in library.categories
     ]
+    if not found:
+        return {}
     configs: dict[str, FitConfig] = {"icp": icp_config(), "pcrnet": pcrnet_config(), "registration": FitConfig()}
     answer = {}
     for name, config in configs.items():
