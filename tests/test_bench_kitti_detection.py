@@ -46,7 +46,7 @@ def test_recall_and_precision_by_class_and_distance(scan: StreetScan, monkeypatc
         monkeypatch,
         (at(11, 2), "car", 0.9),
         (at(12, -3), "car", 0.8),
-        (at(20, -8), "car", 0.7),
+        (at(20, -8), "car", 0.75),
         (at(3, 12), "car", 0.9),  # beside the labelled angle
         (at(20, 2), "car", 0.3),  # not sure enough
     )

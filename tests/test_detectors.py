@@ -15,7 +15,7 @@ from gfp_grasp.detect import DETECTORS, SCAN_DETECTORS, detect_objects, get_dete
 from gfp_grasp.errors import InvalidOption, NothingDetected, UnknownDetector
 from gfp_grasp.shapes import make_shape
 from gfp_grasp.transforms import look_at
-from gfp_grasp.types import DepthImage, Detection, SupportPlane
+from gfp_grasp.types import DepthImage, Detection, RangeImage, SupportPlane
 
 LEFT_M = -0.1
 
@@ -84,6 +84,21 @@ def test_detection_without_a_class_is_classified_when_it_is_completed() -> None:
     completion = complete_detection(unnamed)
     assert completion.category in ("cup", "glass")
     assert sum(completion.scores.values()) == pytest.approx(1.0)
+
+
+def test_a_picture_and_a_scan_have_a_detector_each_where_none_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[object] = []
+
+    def get(name: object) -> object:
+        asked.append(name)
+        raise UnknownDetector("asked")
+
+    monkeypatch.setattr("gfp_grasp.complete.get_detector", get)
+    scan = RangeImage(np.ones((2, 8)), np.array([0.1, 0.0]), np.pi, np.eye(4))
+    for view in (DepthImage(np.ones((4, 4)), np.eye(3), np.eye(4)), scan):
+        with pytest.raises(UnknownDetector):
+            complete_scene(view)
+    assert asked == ["votes", "pointrcnn"]
 
 
 def test_unknown_detector_is_refused_with_those_on_offer() -> None:

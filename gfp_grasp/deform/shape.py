@@ -177,7 +177,7 @@ def deform(fit: FittedPrimitive, view: LevelView, *, config: DeformConfig = Defo
     displacement = displacement + (stood(placed, faces, view) - placed) @ T[:3, :3]
     moved, kept = damp_until_solid(vertices, faces, displacement)
     moved = apply_T(T, moved)
-    if kept < 1 and view.sensor.of_traffic:
+    if kept < 1 and view.sensor.step_rad:
         moved = _stood_again(moved, faces, view)
     return Deformed(moved, sigma_m, kept)
 

@@ -16,7 +16,7 @@ from gfp_grasp.types import LevelView
 _FOOT = 1 / 3
 _SUPPORT_REACHED = 20.0  # and an object whose lowest point is this far above the support that was seen is not on it.
 _LEAST_MARGIN = 1.0  # of the centre of mass within the outline of the feet,
-_MARGIN_SHARE = 0.03  # and in traffic at least this share of the width: a bus on three wheels tips over
+_MARGIN_SHARE = 0.03  # and where rings saw it, this share of its width: a bus on three wheels tips over
 _FACES_DOWN = -0.3  # z of the normal of a vertex that can be stood on
 _LEAST_BOTTOM = 1 / 3  # what faces up stays so far above the support, multiples of the noise
 _MOST_TURN_DEG = 5.0  # that an object which would topple is turned by, to where it rests
@@ -32,7 +32,7 @@ def stood(vertices: np.ndarray, faces: np.ndarray, view: LevelView) -> np.ndarra
     """
     sigma_m, lowest = view.sensor.sigma_m, float(vertices[:, 2].min())
     floor_m = 0.0 if view.floor_seen and lowest < _SUPPORT_REACHED * sigma_m else lowest
-    margin_m = _MARGIN_SHARE * float(np.ptp(vertices[:, :2], axis=0).min()) if view.sensor.of_traffic else 0.0
+    margin_m = _MARGIN_SHARE * float(np.ptp(vertices[:, :2], axis=0).min()) if view.sensor.step_rad else 0.0
     return stand_on(vertices, faces, floor_m, sigma_m=sigma_m, margin_m=margin_m)
 
 
