@@ -9,7 +9,15 @@ from bodies import moved, together
 from toy_bodies import dense_laplacian, l_body
 
 from gfp_grasp.errors import InvalidOption
-from gfp_grasp.meshes import crossing_faces, graph_laplacian, neighbour_average, sample_surface, surface, vertex_normals
+from gfp_grasp.meshes import (
+    crossing_faces,
+    graph_laplacian,
+    neighbour_average,
+    pairs_on_the_way,
+    sample_surface,
+    surface,
+    vertex_normals,
+)
 from gfp_grasp.shapes import make_shape
 
 
@@ -133,3 +141,29 @@ def _pierces(start: np.ndarray, end: np.ndarray, triangle: np.ndarray) -> bool:
     system = np.stack([triangle[1] - triangle[0], triangle[2] - triangle[0], start - end], axis=1)
     u, v, t = np.linalg.solve(system, start - triangle[0])
     return bool(u >= 0 and v >= 0 and u + v <= 1 and 0 <= t <= 1)
+
+
+def test_pairs_found_once_tell_what_crosses_at_every_step_of_the_way() -> None:
+    """Two balls, one of which goes through the other, bent by noise: at each step the same pairs as when asked anew."""
+    balls = [trimesh.creation.icosphere(subdivisions=2, radius=r) for r in (0.05, 0.03)]
+    balls[1].apply_translation((0.1, 0.0, 0.0))
+    both = trimesh.util.concatenate(balls)
+    vertices, faces = np.asarray(both.vertices), np.asarray(both.faces)
+    rng = np.random.default_rng(0)
+    way = rng.normal(scale=0.004, size=vertices.shape)
+    way[vertices[:, 0] > 0.06] -= (0.09, 0.0, 0.0)
+    pairs = pairs_on_the_way(vertices, vertices + way, faces)
+    assert (pairs[:, 0] < pairs[:, 1]).all()
+    assert len(np.unique(pairs, axis=0)) == len(pairs)
+    counts = []
+    for share in (0.0, 0.3, 0.6, 1.0):
+        moved = vertices + share * rng.uniform(0.8, 1.0, (len(vertices), 1)) * way
+        anew = crossing_faces(moved, faces)
+        np.testing.assert_array_equal(crossing_faces(moved, faces, pairs=pairs), anew)
+        among = rng.random(len(faces)) < 0.3
+        np.testing.assert_array_equal(
+            crossing_faces(moved, faces, among=among, pairs=pairs), anew[among[anew].any(axis=1)]
+        )
+        counts.append(len(anew))
+    assert counts[0] == 0
+    assert max(counts) > 50

@@ -20,7 +20,7 @@ from gfp_grasp.deform.patches import Patches, blend, make_patches
 from gfp_grasp.deform.standing import stood
 from gfp_grasp.deform.template import TemplatePoints, patch_unit_m, template_points
 from gfp_grasp.errors import InvalidOption
-from gfp_grasp.meshes import crossing_faces, graph_laplacian, neighbour_average, triangle_normals
+from gfp_grasp.meshes import crossing_faces, graph_laplacian, neighbour_average, pairs_on_the_way, triangle_normals
 from gfp_grasp.parallel import one_thread
 from gfp_grasp.transforms import apply_T, invert_T
 from gfp_grasp.types import FittedPrimitive, GenericPrimitive, LevelView
@@ -65,12 +65,14 @@ def damp_until_solid(vertices: np.ndarray, faces: np.ndarray, displacement: np.n
     """
     share = np.ones(len(vertices))
     average = _cached_average(faces.tobytes(), len(faces), len(vertices))
-    changed = None
+    changed = pairs = None
     for _ in range(_HALVINGS):
         moved = vertices + share[:, None] * displacement
-        bad = _bad_faces(vertices, moved, faces, changed)
+        bad = _bad_faces(vertices, moved, faces, changed, pairs)
         if len(bad) == 0:
             return moved, float(share.min())
+        if pairs is None:  # mostly the first look is the last
+            pairs = pairs_on_the_way(vertices, vertices + displacement, faces)
         near = np.zeros(len(vertices))
         near[faces[bad].ravel()] = 1.0
         for _ in range(3):  # the damping fades out over three rings: an edge of its own would fold the surface
@@ -79,19 +81,19 @@ def damp_until_solid(vertices: np.ndarray, faces: np.ndarray, displacement: np.n
         changed = (near > 0)[faces].any(axis=1)  # the others were good, and stay so among themselves
     for factor in (0.5, 0.25, 0.1, 0.0):
         moved = vertices + factor * share[:, None] * displacement
-        if len(_bad_faces(vertices, moved, faces)) == 0:
+        if len(_bad_faces(vertices, moved, faces, None, pairs)) == 0:
             return moved, float(factor * share.min())
     return vertices.copy(), 0.0
 
 
 def _bad_faces(
-    before: np.ndarray, after: np.ndarray, faces: np.ndarray, changed: np.ndarray | None = None
+    before: np.ndarray, after: np.ndarray, faces: np.ndarray, changed: np.ndarray | None, pairs: np.ndarray | None
 ) -> np.ndarray:
-    """Faces that fold, and those that cross others; only the `changed` (f,) bool can cross where that is given."""
+    """Faces that fold, and those that cross others; only the `changed` (f,) bool and the `pairs` (p, 2) can cross."""
     old, new = triangle_normals(before[faces]), triangle_normals(after[faces])
     scale = np.linalg.norm(old, axis=1) * np.linalg.norm(new, axis=1) + 1e-30
     folded = np.flatnonzero(np.einsum("fi,fi->f", old, new) / scale < _FOLD_COSINE)
-    return np.union1d(folded, crossing_faces(after, faces, among=changed).ravel()).astype(np.int64)
+    return np.union1d(folded, crossing_faces(after, faces, among=changed, pairs=pairs).ravel()).astype(np.int64)
 
 
 @lru_cache(maxsize=32)

@@ -105,7 +105,9 @@ _TOUCH = 1e-9
 _BATCH = 1_000_000
 
 
-def crossing_faces(vertices: np.ndarray, faces: np.ndarray, *, among: np.ndarray | None = None) -> np.ndarray:
+def crossing_faces(
+    vertices: np.ndarray, faces: np.ndarray, *, among: np.ndarray | None = None, pairs: np.ndarray | None = None
+) -> np.ndarray:
     """Pairs of faces that pass through each other and share no vertex.
 
     Faces that only touch, or lie in one plane, do not cross.
@@ -114,6 +116,7 @@ def crossing_faces(vertices: np.ndarray, faces: np.ndarray, *, among: np.ndarray
         vertices: (v, 3) m.
         faces: (f, 3) int.
         among: (f,) bool, of which faces each pair has at least one; None asks for all pairs.
+        pairs: (p, 2) int, as `pairs_on_the_way` gives them, the only ones that are asked for; None asks for all.
 
     Returns:
         (c, 2) int pairs of face indices, the smaller first, in ascending order; empty where nothing crosses.
@@ -126,14 +129,45 @@ def crossing_faces(vertices: np.ndarray, faces: np.ndarray, *, among: np.ndarray
         return np.zeros((0, 2), dtype=np.int64)
     corners = vertices[faces]
     touch = _TOUCH * float(np.linalg.norm(corners.max(axis=(0, 1)) - corners.min(axis=(0, 1))))
-    found = [_crossing(pairs, corners, touch) for pairs in _box_overlaps(corners, faces, among)]
-    pairs = np.concatenate(found) if found else np.zeros((0, 2), dtype=np.int64)
-    return pairs[np.lexsort((pairs[:, 1], pairs[:, 0]))]
-
-
-def _box_overlaps(corners: np.ndarray, faces: np.ndarray, among: np.ndarray | None) -> Iterator[np.ndarray]:
-    """Batches (b, 2) of pairs whose boxes overlap and that share no vertex, each pair once; see `crossing_faces`."""
     low, high = corners.min(axis=1), corners.max(axis=1)
+    batches = _box_overlaps(low, high, faces, among) if pairs is None else [_still_near(pairs, low, high, among)]
+    found = [_crossing(batch, corners, touch) for batch in batches]
+    crossing = np.concatenate(found) if found else np.zeros((0, 2), dtype=np.int64)
+    return crossing[np.lexsort((crossing[:, 1], crossing[:, 0]))]
+
+
+def pairs_on_the_way(vertices: np.ndarray, moved: np.ndarray, faces: np.ndarray) -> np.ndarray:
+    """Pairs of faces that can cross while each vertex goes straight to where it is moved, each as far as it likes.
+
+    To find them once is cheaper than to look for crossing faces anew at each of several steps of the way.
+
+    Args:
+        vertices: (v, 3) m.
+        moved: (v, 3) m.
+        faces: (f, 3) int.
+
+    Returns:
+        (p, 2) int, the smaller first; faces that share a vertex are left out.
+    """
+    corners = np.concatenate([vertices[faces], moved[faces]], axis=1)
+    batches = list(_box_overlaps(corners.min(axis=1), corners.max(axis=1), faces, None))
+    return np.concatenate(batches) if batches else np.zeros((0, 2), dtype=np.int64)
+
+
+def _still_near(pairs: np.ndarray, low: np.ndarray, high: np.ndarray, among: np.ndarray | None) -> np.ndarray:
+    """The pairs whose boxes, with corners (f, 3) m, overlap, and of which one is among the faces that are asked for."""
+    if among is not None:
+        pairs = pairs[among[pairs[:, 0]] | among[pairs[:, 1]]]
+    for axis in range(3):
+        a, b = pairs.T
+        pairs = pairs[(low[a, axis] <= high[b, axis]) & (low[b, axis] <= high[a, axis])]
+    return pairs
+
+
+def _box_overlaps(
+    low: np.ndarray, high: np.ndarray, faces: np.ndarray, among: np.ndarray | None
+) -> Iterator[np.ndarray]:
+    """Batches (b, 2) of pairs whose boxes overlap and that share no vertex, each pair once; see `crossing_faces`."""
     first_cell, last_cell = _grid(low, high)
     face, cell, key = _entries(first_cell, last_cell)
     if among is not None:
