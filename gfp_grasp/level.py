@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+import trimesh
 from scipy import ndimage
 from scipy.spatial import ConvexHull, Delaunay, KDTree
 
@@ -14,6 +15,7 @@ from gfp_grasp.errors import TooFewPoints
 from gfp_grasp.meshes import vertex_normals
 from gfp_grasp.transforms import apply_T, invert_T, look_at, make_T
 from gfp_grasp.types import (
+    CompletedShape,
     DepthImage,
     Detection,
     LevelView,
@@ -154,6 +156,24 @@ def mark_observed(
         observed &= visible_points(vertices, faces, vertices, vertex_normals(vertices, faces), cloud.viewpoint)
     rough = np.hypot(sensor_sigma_m, 0.1 * distance)
     return observed, np.where(np.isfinite(sigma_m), sigma_m, rough)
+
+
+def mark_shape(mesh: trimesh.Trimesh, detection: Detection) -> CompletedShape:
+    """A mesh as a completed shape: which vertices were observed, and a rough sigma for each.
+
+    Args:
+        mesh: In the frame of the detection, m.
+        detection: What was seen of it.
+    """
+    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
+    observed, sigma = mark_observed(
+        vertices,
+        faces,
+        detection.cloud,
+        sensor_sigma_m=detection.sensor_sigma_m,
+        sigma_m=np.full(len(vertices), np.nan),
+    )
+    return CompletedShape(mesh, observed, sigma)
 
 
 def _horizontal(centred: np.ndarray, sight: np.ndarray | None, up: np.ndarray) -> np.ndarray:

@@ -269,7 +269,7 @@ def _matching_m(surface: np.ndarray, category: str, folder: Path | None) -> floa
 
 
 def _whole_in_box(seen: np.ndarray, box: TrafficBox, folder: Path | None) -> np.ndarray:
-    """Of the whole shapes of a class, stretched into a box, the one that what was seen (n, 3) m lies nearest to."""
+    """The whole shape of a class, stretched into a box, that lies nearest to what was seen (n, 3) m."""
     stretched = []
     for shape in _whole_shapes(box.category, folder):
         low, high = shape.min(axis=0), shape.max(axis=0)

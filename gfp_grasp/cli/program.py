@@ -12,10 +12,10 @@ from threadpoolctl import threadpool_limits
 from gfp_grasp.cli.bench_files import bench  # which adds its commands to those of the other two
 from gfp_grasp.cli.complete import check, complete, demo, view
 from gfp_grasp.cli.meshing import decompose
-from gfp_grasp.cli.peers import train  # which adds its command to those of the other
 from gfp_grasp.cli.primitives import gps
 from gfp_grasp.cli.score import score
 from gfp_grasp.cli.terminal import say_error
+from gfp_grasp.cli.training import train
 from gfp_grasp.errors import GfpGraspError
 
 _STOPPED = 130

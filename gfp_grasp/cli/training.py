@@ -232,6 +232,48 @@ def openset(
     out.print(str(train_openset(config=config, out=file, workers=workers, progress=track("things"))), markup=False)
 
 
+@train.command()
+def peer(
+    name: Annotated[str, typer.Argument(help="pcn, foldingnet, topnet, 3d-epn, 3d-sc or scrg.")],
+    true_box: Annotated[
+        bool,
+        typer.Option("--true-box", help="Learn in the true box, as the papers do; left out, around what was seen."),
+    ] = False,
+    classes: Annotated[
+        str | None,
+        typer.Option(help="Classes to learn from, with commas between; left out, households and those of the paper."),
+    ] = None,
+    file: Out = None,
+    steps: Steps = None,
+    members: Annotated[
+        int | None, typer.Option(min=1, help="Objects of each class; left out, those of the shipped weights.")
+    ] = None,
+    runs: Runs = Path("runs"),
+    device: Device = "cpu",
+    workers: Workers = 1,
+    seed: Seed = 0,
+) -> None:
+    """One of the networks that GFPNet is compared with: two hours of one core, whichever it is."""
+    from gfp_grasp.peers import get_peer
+    from gfp_grasp.train import PEER_CONFIGS, train_peer
+
+    get_peer(name)
+    config = replace(PEER_CONFIGS[name], seed=seed, device=device)
+    config = replace(config, steps=steps or config.steps, members=members or config.members)
+    with _bar(name, config.steps) as report:
+        card = train_peer(
+            name,
+            true_box=true_box,
+            config=config,
+            classes=_listed(classes),
+            out=file,
+            runs=runs,
+            workers=workers,
+            report=report,
+        )
+    out.print(str(card), markup=False)
+
+
 def _listed(classes: str | None) -> tuple[str, ...] | None:
     """The classes of a comma-separated list; None where there is no list."""
     return None if classes is None else tuple(name.strip() for name in classes.split(",") if name.strip())

@@ -16,7 +16,7 @@ from gfp_grasp.complete import CompleteConfig, complete_detection
 from gfp_grasp.completion import Completion
 from gfp_grasp.deform import DeformConfig
 from gfp_grasp.errors import InvalidCloud, InvalidMesh, InvalidOption, UnknownCompleter
-from gfp_grasp.level import mark_observed
+from gfp_grasp.level import mark_shape
 from gfp_grasp.meshes import check_mesh, make_solid
 from gfp_grasp.peers import PEERS, TRUE_BOX, check_trained, true_box
 from gfp_grasp.plugins import imported_function
@@ -26,7 +26,6 @@ from gfp_grasp.transforms import apply_T
 from gfp_grasp.types import (
     UNKNOWN,
     CollisionMesh,
-    CompletedShape,
     ConvexPart,
     Detection,
     OrientedBox,
@@ -50,19 +49,6 @@ class CompletionInParts(Completion):
     def collision(self) -> CollisionMesh:
         """The known parts, within the bounds that other objects of a scene set."""
         return within_bounds(self.known_parts, self.bounds) if len(self.bounds) else self.known_parts
-
-
-def mark_shape(mesh: trimesh.Trimesh, detection: Detection) -> CompletedShape:
-    """A mesh in the world frame as a completed shape: which vertices were observed, and a rough sigma for each."""
-    vertices, faces = np.asarray(mesh.vertices), np.asarray(mesh.faces)
-    observed, sigma = mark_observed(
-        vertices,
-        faces,
-        detection.cloud,
-        sensor_sigma_m=detection.sensor_sigma_m,
-        sigma_m=np.full(len(vertices), np.nan),
-    )
-    return CompletedShape(mesh, observed, sigma)
 
 
 # Share of the points, at both edges of the silhouette together, that tell how deep the object's middle lies.

@@ -6,7 +6,7 @@ import numpy as np
 import trimesh
 
 from gfp_grasp.errors import NoSurface, TooFewPoints
-from gfp_grasp.level import MIN_POINTS, mark_observed
+from gfp_grasp.level import MIN_POINTS, mark_shape
 from gfp_grasp.parallel import one_thread
 from gfp_grasp.peers.cube import cube_of_box, cube_of_seen, tidied
 from gfp_grasp.peers.network import PeerNetwork
@@ -45,15 +45,7 @@ def complete_by_peer(
     cloud = tidied(detection.cloud)
     cube = cube_of_seen(cloud, detection.up) if box is None else cube_of_box(box)
     surface = network.surface(seen_in(cube, cloud))
-    vertices, faces = cube.outward(np.asarray(surface.vertices)), np.asarray(surface.faces)
-    mesh = trimesh.Trimesh(vertices, faces, process=False)
+    mesh = trimesh.Trimesh(cube.outward(np.asarray(surface.vertices)), np.asarray(surface.faces), process=False)
     if not mesh.is_volume:
         raise NoSurface(f"the surface of the peer {name!r} encloses no volume: is its network trained?")
-    observed, sigma_m = mark_observed(
-        vertices,
-        faces,
-        detection.cloud,
-        sensor_sigma_m=detection.sensor_sigma_m,
-        sigma_m=np.full(len(vertices), np.nan),
-    )
-    return CompletedShape(mesh, observed, sigma_m)
+    return mark_shape(mesh, detection)

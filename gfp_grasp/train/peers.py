@@ -176,7 +176,7 @@ class _Course:
         Args:
             network: Freshly made.
             lesson: How it learns.
-            steps: Of the optimiser.
+            steps: Number of steps of the optimiser.
             part: Name of this training, for its files.
             before: Steps that other parts took.
         """

@@ -1,6 +1,6 @@
 """Scans of streets with boxes, as the detector of LiDAR scans learns from them: simulated ones, and a tree of KITTI's.
 
-Kept are the points between the road and `HIGHEST_M` above it, their z measured from the road.
+Kept are the points between the road and 5 m above it, their z measured from the road.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from gfp_grasp.detect import find_road, inside
 from gfp_grasp.errors import NothingDetected
 from gfp_grasp.scenes import draw_street, scan_street
 
-HIGHEST_M = 5.0  # above the road
+_HIGHEST_M = 5.0  # above the road
 _LOWEST_M = 0.05
 _FARTHEST_M = 60.0
 _STEP_M = 0.002  # of the cached places
@@ -131,7 +131,7 @@ def _street(points: np.ndarray, boxes: np.ndarray, classes: np.ndarray, labelled
 
 def _kept(points: np.ndarray) -> np.ndarray:
     near = (np.abs(points[:, :2]) < _FARTHEST_M).all(axis=1)
-    return points[near & (points[:, 2] > _LOWEST_M) & (points[:, 2] < HIGHEST_M)]
+    return points[near & (points[:, 2] > _LOWEST_M) & (points[:, 2] < _HIGHEST_M)]
 
 
 def _yaw(T: np.ndarray) -> float:
