@@ -253,7 +253,7 @@ def peer(
     workers: Workers = 1,
     seed: Seed = 0,
 ) -> None:
-    """One of the networks that GFPNet is compared with: two hours of one core, whichever it is."""
+    """One of the networks that GFPNet is compared with: forty minutes of one core, whichever it is."""
     from gfp_grasp.peers import get_peer
     from gfp_grasp.train import PEER_CONFIGS, train_peer
 

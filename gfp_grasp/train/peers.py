@@ -1,7 +1,7 @@
 """Trains the networks that GFPNet is compared with: all on the same views, each with the loss of its paper.
 
 `gfp-grasp train peer NAME` renders, trains and measures in the metric way, with `--true-box` in that of the papers. The
-schedules take two hours of one core each (EPYC with AVX-512, one thread).
+schedules take forty minutes of one core each (EPYC with AVX-512, one thread).
 """
 
 from __future__ import annotations
@@ -61,14 +61,14 @@ class PeerConfig(LoopConfig):
             raise InvalidOption("members and views must be at least 1, prior_share from 0 to less than 1")
 
 
-# Two hours of one core each, as the seconds of a step were measured.
+# Forty minutes of one core each, as the seconds of a step were measured.
 PEER_CONFIGS: Mapping[str, PeerConfig] = {
-    "pcn": PeerConfig(steps=20_000, batch=16),
-    "foldingnet": PeerConfig(steps=18_000, batch=16),
-    "topnet": PeerConfig(steps=38_000, batch=16),
-    "3d-epn": PeerConfig(steps=34_000, batch=16),
-    "3d-sc": PeerConfig(steps=11_000, batch=16, prior_share=0.5),
-    "scrg": PeerConfig(steps=13_500, batch=16),
+    "pcn": PeerConfig(steps=7_000, batch=16),
+    "foldingnet": PeerConfig(steps=6_500, batch=16),
+    "topnet": PeerConfig(steps=13_000, batch=16),
+    "3d-epn": PeerConfig(steps=11_500, batch=16),
+    "3d-sc": PeerConfig(steps=4_400, batch=16, prior_share=0.5),
+    "scrg": PeerConfig(steps=5_000, batch=16),
 }
 
 
