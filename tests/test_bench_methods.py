@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 import trimesh
 from bodies import l_shape
-from toy_primitive import toy_cup_primitive
 
 from gfp_grasp.bench import BRIEF, METHODS, methods
 from gfp_grasp.bench.methods import SWITCHES, ObjectView, config_of, in_sight, run_method, view_object
@@ -18,7 +17,7 @@ from gfp_grasp.completers import CONFIGS
 from gfp_grasp.deform import DeformConfig
 from gfp_grasp.errors import GfpGraspError
 from gfp_grasp.primitives import PrimitiveLibrary
-from gfp_grasp.register import FitConfig, icp_config, pcrnet_config
+from gfp_grasp.register import FitConfig, icp_config, pcrnet_config, size_of_extents
 from gfp_grasp.train import across_edge
 from gfp_grasp.transforms import make_T, rotation_about
 from gfp_grasp.types import DepthImage, PointCloud
@@ -181,26 +180,23 @@ def test_extents_are_those_of_the_object_as_it_would_stand():
     np.testing.assert_allclose(methods.extents_of(tilted()), [0.1, 0.06, 0.02])
 
 
-def test_the_true_size_is_the_height_and_the_mean_width():
-    primitive = toy_cup_primitive()
-    own = np.ptp(primitive.vertices, axis=0)
-    wide = 0.08 / own[:2].mean()
-    assert methods._true_size(tilted(), primitive) == pytest.approx((wide, wide, 0.02 / own[2]))
+def standing(**size: tuple[float, float, float]) -> FitConfig:
+    return replace(pcrnet_config(**size), hypotheses=("upright",))
 
 
 @pytest.mark.parametrize(
     ("name", "fit", "method"),
     [
         ("told-icp", icp_config, "none"),
-        ("told-pcrnet", pcrnet_config, "none"),
-        ("told-pcrnet-gfs", pcrnet_config, "gfs"),
-        ("told-pcrnet-gfpnet-oneshot", pcrnet_config, "gfpnet-oneshot"),
-        ("told-pcrnet-gfpnet-paper", pcrnet_config, "gfpnet-paper"),
+        ("told-pcrnet", standing, "none"),
+        ("told-pcrnet-gfs", standing, "gfs"),
+        ("told-pcrnet-gfpnet-oneshot", standing, "gfpnet-oneshot"),
+        ("told-pcrnet-gfpnet-paper", standing, "gfpnet-paper"),
     ],
 )
 def test_the_papers_rows_are_told_the_class_and_the_sized_ones_the_size(name, fit, method):
     library = PrimitiveLibrary.shipped()
-    size = methods._true_size(tilted(), library.primitive("mug"))
+    size = size_of_extents(library.primitive("mug"), methods.extents_of(tilted()))
     common = {
         "library": library,
         "deform": DeformConfig(method=method),

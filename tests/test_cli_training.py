@@ -11,13 +11,15 @@ from recorded_calls import recorded, rows_of, run
 
 from gfp_grasp.primitives import BuildConfig, PrimitiveLibrary
 from gfp_grasp.train import (
-    GFPNET_CONFIGS,
+    GFPNET_CONFIG,
+    PAPER_CONFIGS,
     PCRNET_CONFIG,
     PEER_CONFIGS,
     ClassfreeConfig,
     OpenSetConfig,
     PointRCNNConfig,
     ProposalConfig,
+    peer_config,
 )
 
 MADE = SimpleNamespace(vertices=[0] * 5, modes=[0] * 2, parts=[0] * 3, part_errors_m=((1, 1), (0.00123, 0.0046)))
@@ -223,19 +225,17 @@ def test_training_of_the_registration_network_hands_on_every_option(
 def test_training_of_the_deformation_network_hands_on_every_option(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], bars: list[tuple[str, int]]
 ) -> None:
-    train = recorded(monkeypatch, "gfp_grasp.train.train_gfpnet", Path("[b]card.json"))
+    patch = recorded(monkeypatch, "gfp_grasp.train.train_gfpnet", Path("[b]card.json"))
+    paper = recorded(monkeypatch, "gfp_grasp.train.train_paper", Path("[b]card.json"))
     start = tmp_path / "start.safetensors"
     start.touch()
     words = f"--variant paper-oneshot --file own.safetensors --views 3 --workers 2 --rate 0.25 --start {start}"
     assert run(f"train gfpnet {words} {TRAINED}") == 0
     assert run("train gfpnet") == 0
-    config = replace(GFPNET_CONFIGS["paper-oneshot"], seed=5, device="cuda", steps=7, rate=0.25)
-    default = GFPNET_CONFIGS["patch"]
-    assert train.calls == [
-        (("paper-oneshot",), {**RECEIVED, "config": config, "workers": 2, "start": start}),
-        (("patch",), {**DEFAULTS, "config": default, "workers": 1, "start": None}),
-    ]
-    assert bars == [("gfpnet paper-oneshot", 7), ("gfpnet patch", default.steps)]
+    config = replace(PAPER_CONFIGS["paper-oneshot"], seed=5, device="cuda", steps=7, rate=0.25)
+    assert paper.calls == [(("paper-oneshot",), {**RECEIVED, "config": config, "workers": 2, "start": start})]
+    assert patch.calls == [((), {**DEFAULTS, "config": GFPNET_CONFIG, "workers": 1, "start": None})]
+    assert bars == [("gfpnet paper-oneshot", 7), ("gfpnet patch", GFPNET_CONFIG.steps)]
     assert capsys.readouterr().out == "[b]card.json\n[b]card.json\n"
     assert run("train gfpnet --rate 0") != 0
     assert "rate" in capsys.readouterr().err
@@ -284,7 +284,7 @@ def test_training_of_a_peer_hands_on_every_option(
     words = "--true-box --classes cup,,mug --file own.safetensors --steps 7 --members 3 --runs elsewhere"
     assert run(f"train peer 3d-epn {words} --device cuda --workers 2 --seed 5") == 0
     assert run("train peer pcn") == 0
-    config = replace(PEER_CONFIGS["3d-epn"], seed=5, device="cuda", steps=7, members=3)
+    config = replace(peer_config("3d-epn", true_box=True), seed=5, device="cuda", steps=7, members=3)
     given = {"classes": ("cup", "mug"), "out": Path("own.safetensors"), "runs": Path("elsewhere"), "workers": 2}
     default = {"classes": None, "out": None, "runs": Path("runs"), "workers": 1}
     assert train.calls == [

@@ -19,6 +19,7 @@ from gfp_grasp.register import (
     make_starts,
     network_input,
     pcrnet_config,
+    size_of_extents,
 )
 from gfp_grasp.register.fit import try_circular
 from gfp_grasp.register.occlusion import EDGES, _straight_edge, cut_off
@@ -88,6 +89,13 @@ def test_icp_is_rigid_and_pcrnet_alone_is_not_refined() -> None:
     assert pcrnet_config() == FitConfig(start="pcrnet", roundness=False, size=ones, refine=False, thorough=rigid)
     assert icp_config().size == ones
     assert FitConfig().with_unit(0.2).middle == replace(FitConfig().middle, unit_m=0.2)
+
+
+def test_the_size_of_extents_is_the_height_and_the_mean_width() -> None:
+    primitive = toy_cup_primitive()
+    own = np.ptp(primitive.vertices, axis=0)
+    wide = 0.08 / own[:2].mean()
+    assert size_of_extents(primitive, np.array([0.06, 0.1, 0.02])) == pytest.approx((wide, wide, 0.02 / own[2]))
 
 
 @pytest.mark.parametrize(

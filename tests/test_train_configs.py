@@ -12,37 +12,32 @@ from safetensors.torch import save_file
 from torch import nn
 
 from gfp_grasp.assets import data_dir
-from gfp_grasp.deform import WEIGHTS
 from gfp_grasp.errors import UnreadableFile
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.register import FitConfig
 from gfp_grasp.scenes import shipped_families
 from gfp_grasp.shapes import FAMILIES, TRAFFIC
 from gfp_grasp.train import (
-    GFPNET_CONFIGS,
+    GFPNET_CONFIG,
     LIDAR_CONFIG,
     PCRNET_CONFIG,
     Example,
     ProposalConfig,
     gfpnet,
-    paper_loss,
-    patches_of_split,
     pcrnet,
     proposal,
     train_gfpnet,
     train_pcrnet,
     train_proposal,
 )
-from gfp_grasp.train.gfpnet import measure_paper
 from gfp_grasp.train.loop import training_key
 from gfp_grasp.train.proposal_batches import Targets
 from gfp_grasp.train.proposal_data import VIEWS
 from gfp_grasp.types import LIDAR, TABLETOP
 
 LIBRARY = PrimitiveLibrary.shipped()
-CONFIGS = {"proposal": ProposalConfig(), "proposal_lidar": LIDAR_CONFIG, "pcrnet": PCRNET_CONFIG} | {
-    WEIGHTS[variant]: config for variant, config in GFPNET_CONFIGS.items()
-}
+CONFIGS = {"proposal": ProposalConfig(), "proposal_lidar": LIDAR_CONFIG, "pcrnet": PCRNET_CONFIG}
+CONFIGS["gfpnet"] = GFPNET_CONFIG
 
 
 @pytest.mark.parametrize("name", sorted(CONFIGS))
@@ -93,14 +88,14 @@ def test_pcrnet_is_trained_on_two_copies_of_each_view_and_measured_on_one(tmp_pa
         rows.append((found, primitive.name, rng.integers(1000), copies))
         return [(np.zeros((5, 3)), np.ones((4, 3)), np.eye(3), np.zeros(3), 0.1)] * 3
 
-    monkeypatch.setattr(pcrnet, "cached_views", views)
+    monkeypatch.setattr(pcrnet, "class_views", views)
     monkeypatch.setattr(pcrnet, "_samples", samples)
     monkeypatch.setattr(pcrnet, "_measure", lambda network, data: {"val_samples": len(data[0])})
     config = replace(PCRNET_CONFIG, seed=4, batch=2)
     told = print
     card = train_pcrnet(config=config, num_views=3, limit=5, runs=tmp_path, report=told)  # pyright: ignore[reportArgumentType]
-    knobs = {"num_views": 3, "limit": 5, "folder": tmp_path / "views", "data": None}
-    names = shipped_families()
+    knobs = {"num_views": 3, "limit": 5, "runs": tmp_path, "data": None}
+    names = (*shipped_families(), "car", "pedestrian")
     assert asked == [(name, split, knobs) for split in ("train", "val") for name in names]
     assert [(found, name, copies) for found, name, _, copies in rows] == [
         ([name, split], name, copies) for split, copies in (("train", 2), ("val", 1)) for name in names
@@ -108,19 +103,23 @@ def test_pcrnet_is_trained_on_two_copies_of_each_view_and_measured_on_one(tmp_pa
     assert rows[0][2] == np.random.default_rng(4).integers(1000)
     assert rows[len(names)][2] == np.random.default_rng(5).integers(1000)
     (made,), (written,) = run.trained, run.written
-    assert (made.config, made.checkpoint, made.report) == (config, tmp_path / "pcrnet" / "checkpoint.pt", told)
+    assert (made.config, made.report.then) == (config, told)
+    assert made.checkpoint.parent == tmp_path / "pcrnet"
+    assert made.checkpoint.with_suffix("") == Path(str(made.report.path).removesuffix("_curve.json"))
+    assert written.extra == {"learning_curve": []}
+    assert {len(part) for part in made.report.held_out} == {3 * len(names)}
     batch = next(made.batches(torch.Generator().manual_seed(0)))
     assert [tuple(part.shape) for part in batch] == [(2, 5, 3), (2, 4, 3), (2, 3, 3), (2, 3), (2,)]
     assert {part.dtype for part in batch} == {torch.float32}
     assert written.path == data_dir("weights") / "pcrnet.safetensors"
     assert card == written.path.with_suffix(".json")
-    assert (written.config, written.hours, written.metrics) == (config, 1.5, {"val_samples": 60})
+    assert (written.config, written.hours, written.metrics) == (config, 1.5, {"val_samples": 3 * len(names)})
     assert written.data == {
         "classes": names,
         "shapes": "procedural",
         "split": "train",
         "views_a_shape": 3,
-        "samples": 60,
+        "samples": 3 * len(names),
     }
     torch.manual_seed(4)
     fresh = pcrnet.PCRNet().half().float().state_dict()
@@ -150,9 +149,7 @@ def _gfpnet_run(monkeypatch) -> tuple[_Run, list, list]:
 
     monkeypatch.setattr(gfpnet, "make_labels", labels)
     monkeypatch.setattr(gfpnet, "load_objects", load)
-    monkeypatch.setattr(gfpnet, "single_patches", lambda objects: (torch.zeros(9, 3), torch.ones(9, 4)))
     monkeypatch.setattr(gfpnet, "_measure", lambda network, held_out, table: {"whole": len(held_out.source)})
-    monkeypatch.setattr(gfpnet, "measure_paper", lambda network, data: {"patches": len(data[0])})
     return run, asked, loaded
 
 
@@ -168,7 +165,7 @@ def test_gfpnet_is_trained_on_whole_objects_and_measured_on_a_quarter_of_them(mo
     ]
     assert [table.categories for table in loaded] == [("mug",)] * 2
     (made,), (written,) = run.trained, run.written
-    assert made.config is GFPNET_CONFIGS["patch"]
+    assert made.config is GFPNET_CONFIG
     key = training_key(made.config, ("mug",), LIBRARY, 3, limit, None, fit, None)
     assert made.checkpoint == Path(f"r/gfpnet/patch_{key}.pt")
     assert made.loss.func is gfpnet.point_loss
@@ -183,25 +180,6 @@ def test_gfpnet_is_trained_on_whole_objects_and_measured_on_a_quarter_of_them(mo
         "samples": 6,
         "labels": {"mug": {"kept": 6}},
     }
-
-
-def test_the_papers_networks_are_trained_on_single_patches(monkeypatch) -> None:
-    run, _, loaded = _gfpnet_run(monkeypatch)
-    monkeypatch.setattr(gfpnet, "layout_of", lambda data: f"laid out as {data}")
-    config = replace(GFPNET_CONFIGS["paper-oneshot"], batch=4, seed=3)
-    out = Path("there.safetensors")
-    train_gfpnet("paper-oneshot", config=config, out=out, data=Path("meshes"), report=print)
-    (made,), (written,) = run.trained, run.written
-    assert loaded[0].categories == shipped_families()
-    key = training_key(config, shipped_families(), LIBRARY, 4, None, Path("meshes"), FitConfig(), None)
-    assert made.checkpoint == Path(f"runs/gfpnet/paper-oneshot_{key}.pt")
-    assert (made.loss, made.config, made.report) == (paper_loss, config, print)
-    assert [tuple(part.shape) for part in next(made.batches(torch.Generator()))] == [(4, 3), (4, 4)]
-    assert (written.path, written.metrics, written.data["shapes"]) == (out, {"patches": 9}, "laid out as meshes")
-    assert written.data["views_a_shape"] == 4
-    torch.manual_seed(3)
-    fresh = gfpnet.make_network("paper-oneshot").half().float().state_dict()
-    assert all(torch.equal(fresh[key], value) for key, value in written.network.state_dict().items())
 
 
 def test_gfpnet_goes_on_from_weights_and_their_card_is_part_of_the_new_one(tmp_path: Path, monkeypatch) -> None:
@@ -219,20 +197,12 @@ def test_gfpnet_goes_on_from_weights_and_their_card_is_part_of_the_new_one(tmp_p
     assert all(torch.equal(stored[name], value) for name, value in gone_on.items())
     assert not all(torch.equal(stored[name], value) for name, value in anew.items())
     assert run.trained[0].checkpoint != run.trained[1].checkpoint
-    with pytest.raises(UnreadableFile, match=r"start\.safetensors holds no weights of a network 'paper-oneshot'"):
-        train_gfpnet("paper-oneshot", start=start)
+    save_file({name: tensor[:1] for name, tensor in first.state_dict().items()}, start)
+    with pytest.raises(UnreadableFile, match=r"start\.safetensors holds no weights of a network 'patch'"):
+        train_gfpnet(start=start)
     start.with_suffix(".json").unlink()
     with pytest.raises(UnreadableFile, match=r"start\.safetensors has no card start\.json beside it"):
         train_gfpnet(start=start)
-
-
-def test_patches_of_a_split_are_those_of_the_shipped_classes(monkeypatch) -> None:
-    _, asked, loaded = _gfpnet_run(monkeypatch)
-    found = patches_of_split("test", 2, 5, Path("r"), workers=3)
-    assert len(found[0]) == 9
-    assert loaded[0].categories == shipped_families()
-    knobs = {"library": LIBRARY, "split": "test", "num_views": 2, "limit": 5, "runs": Path("r"), "workers": 3}
-    assert asked == [("mug", knobs)]
 
 
 def _example(name: str) -> Example:
@@ -340,24 +310,6 @@ def test_the_proposal_network_learns_all_families_unless_told(proposal_run, tmp_
         assert asked[-1][2]["limit"] == of_test
     keys = {made.checkpoint for made in proposal_run.run.trained}
     assert len(keys) == 3
-
-
-def test_errors_of_patches_are_measured_in_millimetres() -> None:
-    source = torch.tensor([[[0.0, 0, 0], [1, 0, 0]]]).repeat(600, 1, 1)
-    target = source + torch.tensor([0.0, 0.3, 0.4])
-    unit_m = torch.linspace(0.01, 0.03, 600)
-
-    class Half(nn.Module):
-        def forward(self, s, t):
-            assert len(s) <= 512
-            return s[:, :1].expand_as(s) + torch.tensor([0.0, 0.15, 0.2])  # both near the first label only
-
-    found = measure_paper(Half(), (source.half(), source.half(), target, unit_m))
-    assert found == {
-        "val_samples": 600,
-        "mean_error_before_mm": pytest.approx(10.0, abs=2e-3),
-        "mean_error_after_mm": pytest.approx(20 * (0.25 + np.hypot(1, 0.25)) / 2, abs=2e-3),
-    }
 
 
 def test_the_network_of_a_lidar_learns_traffic_and_keeps_its_prototypes(

@@ -17,7 +17,7 @@ from gfp_grasp.register import FitConfig
 from gfp_grasp.scenes import ObjectSource
 from gfp_grasp.train import View
 from gfp_grasp.train import labels as module
-from gfp_grasp.train.labels import Label, _cached_label, _card_id, _label, _primitives_of, label_fit, make_labels
+from gfp_grasp.train.labels import Label, _cached_label, _card_id, _label, _primitives_of, draw_onto, make_labels
 from gfp_grasp.transforms import apply_T, invert_T, make_T, rotation_about
 from gfp_grasp.types import FittedPrimitive
 
@@ -32,7 +32,8 @@ def _toy_fit() -> FittedPrimitive:
 
 def test_a_fit_is_drawn_onto_the_true_surface_as_ever() -> None:
     points, normals, _ = sample_surface(random_cup(np.random.default_rng(4)), 4000, np.random.default_rng(0))
-    moved, residual_m = label_fit(_toy_fit(), points, normals)
+    fit = _toy_fit()
+    moved, residual_m = draw_onto(fit.primitive, fit.primitive.shape(fit.coefficients, fit.scale), points, normals)
     assert_known("label", moved)
     assert_known("label residual", [residual_m])
 
@@ -42,7 +43,7 @@ def test_vertices_without_an_agreeing_surface_count_as_twice_the_residual_that_i
     fit = _toy_fit()
     vertices = fit.primitive.shape(fit.coefficients, fit.scale)
     normals = vertex_normals(vertices, fit.primitive.faces)
-    moved, residual_m = label_fit(fit, vertices, normals)
+    moved, residual_m = draw_onto(fit.primitive, vertices, vertices, normals)
     np.testing.assert_array_equal(moved, vertices)
     assert residual_m == pytest.approx(0.0, abs=1e-12)
     far_m = 2 / 15 * patch_unit_m(fit.primitive)
@@ -52,24 +53,21 @@ def test_vertices_without_an_agreeing_surface_count_as_twice_the_residual_that_i
         aside /= np.linalg.norm(aside, axis=1, keepdims=True)
         leaning = np.cos(np.radians(degrees)) * normals + np.sin(np.radians(degrees)) * aside
         apart = vertices + 10.0 * np.arange(len(vertices))[:, None]  # so that a vertex has no other neighbour
-        patched = replace(fit, coefficients=fit.coefficients)
         monkeypatch.setattr(module, "vertex_normals", lambda *_: normals)
-        monkeypatch.setattr(type(fit.primitive), "shape", lambda *_, apart=apart: apart)
-        assert label_fit(patched, apart, leaning)[1] == pytest.approx(wanted, abs=1e-9)
+        assert draw_onto(fit.primitive, apart, apart, leaning)[1] == pytest.approx(wanted, abs=1e-9)
 
 
 @pytest.mark.parametrize(("others", "is_found"), [(7, True), (8, False)])
 def test_an_agreeing_surface_is_looked_for_among_the_nearest_eight(monkeypatch, others: int, is_found: bool) -> None:
-    fit = _toy_fit()
-    normals = vertex_normals(fit.primitive.vertices, fit.primitive.faces)
+    primitive = toy_cup_primitive()
+    normals = vertex_normals(primitive.vertices, primitive.faces)
     apart = 10.0 * np.arange(len(normals))[:, None] * np.ones(3)
     monkeypatch.setattr(module, "_STAGES", ())
     monkeypatch.setattr(module, "vertex_normals", lambda *_: normals)
-    monkeypatch.setattr(type(fit.primitive), "shape", lambda *_: apart)
     layers = [apart + 1e-4 * (k + 1) * normals for k in range(others)] + [apart + 1e-3 * normals]
     facing = [-normals] * others + [normals]
-    residual_m = label_fit(fit, np.concatenate(layers), np.concatenate(facing))[1]
-    assert residual_m == pytest.approx(1e-3 if is_found else 2 / 15 * patch_unit_m(fit.primitive))
+    residual_m = draw_onto(primitive, apart, np.concatenate(layers), np.concatenate(facing))[1]
+    assert residual_m == pytest.approx(1e-3 if is_found else 2 / 15 * patch_unit_m(primitive))
 
 
 def _view(seed: int = 3, shift: float = 0.0, family: str = "cup") -> View:
@@ -177,7 +175,7 @@ def mug_fit(monkeypatch) -> FittedPrimitive:
     monkeypatch.setattr(module, "make_level_view", level_view)
     monkeypatch.setattr(module, "template_points", lambda fit, level: (fit, level))
     monkeypatch.setattr(module, "part_is_seen", lambda fit, part, level: False)
-    monkeypatch.setattr(module, "label_fit", lambda fit, points, normals: (fit.primitive.vertices, 0.0))
+    monkeypatch.setattr(module, "draw_onto", lambda primitive, *_: (primitive.vertices, 0.0))
     return fit
 
 
@@ -188,11 +186,11 @@ def _label_of(view: View, *, support: bool = True, num_modes: int = 1000) -> tup
 def test_a_label_is_of_the_body_whose_parts_were_seen_and_in_its_own_frame(mug_fit, monkeypatch) -> None:
     drawn: list = []
 
-    def label_fit(fit, points, normals):
+    def drawing(primitive, vertices, points, normals):
         drawn.append((points, normals))
-        return fit.primitive.vertices + 1.0, 0.0
+        return primitive.vertices + 1.0, 0.0
 
-    monkeypatch.setattr(module, "label_fit", label_fit)
+    monkeypatch.setattr(module, "draw_onto", drawing)
     view = _view(family="mug")
     label, verdict = _label_of(view)
     assert verdict == "kept"
@@ -241,7 +239,7 @@ def test_what_is_not_fitted_has_no_label(mug_fit, monkeypatch, error: type[Excep
 @pytest.mark.parametrize(("share", "verdict"), [(0.99, "kept"), (1.01, "residual")])
 def test_a_label_that_stays_off_the_surface_is_dropped(mug_fit, monkeypatch, share: float, verdict: str) -> None:
     limit_m = patch_unit_m(mug_fit.primitive.without(["handle"]) or mug_fit.primitive) / 15
-    monkeypatch.setattr(module, "label_fit", lambda fit, *_: (fit.primitive.vertices, share * limit_m))
+    monkeypatch.setattr(module, "draw_onto", lambda primitive, *_: (primitive.vertices, share * limit_m))
     assert _label_of(_view(family="mug"))[1] == verdict
 
 

@@ -7,15 +7,15 @@ import numpy as np
 import pytest
 import torch
 from moments import assert_known
-from torch import Tensor, nn
+from torch import nn
 
 from gfp_grasp.deform import BELIEF, PatchAnswer, PatchNet, TemplatePoints
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.primitives import PrimitiveLibrary
-from gfp_grasp.train import gfpnet, paper_loss, shuffled
-from gfp_grasp.train.gfpnet import _lap, _measure, _surface_error, _unlikelihood, mean_mm, point_loss
+from gfp_grasp.train import gfpnet, shuffled
+from gfp_grasp.train.gfpnet import _measure, _surface_error, _unlikelihood, mean_mm, point_loss
 from gfp_grasp.train.labels import Label
-from gfp_grasp.train.patch_data import Objects, PrimitiveTable, augmented, load_objects, object_of, single_patches
+from gfp_grasp.train.patch_data import Objects, PrimitiveTable, augmented, load_objects, object_of
 
 LIBRARY = PrimitiveLibrary.shipped()
 TABLE = PrimitiveTable.of(LIBRARY, ("cup", "mug"))
@@ -99,41 +99,6 @@ def test_batches_are_thinned_and_shaken_as_ever(objects: Objects) -> None:
     drawn, before = batch.template.float(), objects.template[order].float()
     gap = torch.cdist(drawn.flatten(0, 1), before.flatten(0, 1)).amin(dim=2)
     assert 0.005 < gap.median() < 0.03
-
-
-def test_patches_that_see_nothing_teach_the_papers_networks_nothing(objects: Objects) -> None:
-    source, template, target, unit_m = single_patches(objects)
-    sees = objects.pose_features[..., -1] > 0
-    assert 0 < len(source) == int(sees.sum()) < sees.numel()
-    assert torch.equal(source, objects.source[sees])
-    assert torch.equal(template, objects.template[sees])
-    assert torch.equal(target, objects.source[sees] + objects.offset[sees])
-    assert torch.equal(unit_m, objects.unit_m[:, None].expand(sees.shape)[sees])
-
-
-class _Moves(nn.Module):
-    def __init__(self, shift: Tensor) -> None:
-        super().__init__()
-        self.shift = shift
-
-    def forward(self, source: Tensor, template: Tensor) -> Tensor:
-        return source + self.shift
-
-
-def test_the_papers_loss_weighs_distance_and_laplacian() -> None:
-    source = torch.tensor(np.random.default_rng(0).normal(size=(2, 30, 3)), dtype=torch.float32)
-    assert paper_loss(_Moves(torch.zeros(3)), (source, source, source, torch.ones(2))).item() == pytest.approx(
-        0, abs=1e-3
-    )
-    # All points far off by the same way: both directions of the Chamfer distance, and the same Laplacian.
-    shift = torch.tensor([300.0, 400.0, 0.0])
-    far = paper_loss(_Moves(shift), (source, source, source, torch.ones(2)))
-    assert far.item() == pytest.approx(0.7 * 2 * 500, rel=0.01)
-    wave = 0.3 * torch.sin(7 * source)
-    assert_known("paper loss", [paper_loss(_Moves(wave), (source, source, source, torch.ones(2))).item()])
-    near = torch.tensor([[[1, 2], [0, 2], [0, 1]]])
-    points = torch.tensor([[[0.0, 0, 0], [2, 0, 0], [0, 4, 0]]])
-    assert _lap(points, near)[0].tolist() == [[-1, -2, 0], [2, -2, 0], [-1, 4, 0]]
 
 
 def test_a_far_outlier_counts_no_more_than_a_far_one() -> None:

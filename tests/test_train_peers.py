@@ -11,11 +11,11 @@ from scipy.spatial import KDTree
 
 from gfp_grasp.assets import data_dir
 from gfp_grasp.camera import cast_rays
-from gfp_grasp.errors import InvalidOption, UnknownCategory
+from gfp_grasp.errors import InvalidOption, NotTrained, UnknownCategory
 from gfp_grasp.peers import PEERS, AmortisedFit, ShapePrior, likelihood_loss, make_network, read_network, weights_stem
 from gfp_grasp.peers.sc import corrupted, log_distance, shape_channels
 from gfp_grasp.shapes import FAMILIES, HOUSEHOLD, IN_PAPER
-from gfp_grasp.train import PEER_CONFIGS, PeerConfig, render_views, shape_source, train_peer
+from gfp_grasp.train import PEER_CONFIGS, PeerConfig, peer_config, peers, render_views, shape_source, train_peer
 from gfp_grasp.train.peer_data import PeerView, cached_truth, in_cube, peer_views
 from gfp_grasp.train.peer_losses import chamfer, lesson_batches, lesson_of, make_batch, prior_lesson
 from gfp_grasp.train.peers import CLASSES, measure_peer
@@ -59,7 +59,7 @@ def test_every_peer_has_a_schedule_and_all_learn_from_the_same_views() -> None:
 def test_the_shipped_weights_of_a_peer_were_trained_with_the_schedule_of_today(name: str, true_box: bool) -> None:
     path = data_dir("weights") / f"{weights_stem(name, true_box=true_box)}.json"
     card = json.loads(path.read_text(encoding="utf-8"))
-    assert card["config"] == asdict(PEER_CONFIGS[name])
+    assert card["config"] == asdict(peer_config(name, true_box=true_box))
     assert card["data"]["true_box"] is true_box
     assert card["data"]["classes"] == list(CLASSES)
 
@@ -204,17 +204,54 @@ def test_batches_go_on_without_end_and_are_the_same_for_a_seed(view: PeerView) -
         torch.testing.assert_close(a, b)
 
 
-@pytest.mark.parametrize(("name", "true_box"), [("topnet", False), ("3d-sc", True)])
-def test_a_run_writes_weights_that_load_and_a_card_that_says_how(name: str, true_box: bool, tmp_path: Path) -> None:
+def test_the_true_box_goes_on_for_a_quarter_at_a_quarter_of_the_rate() -> None:
+    metric, boxed = (peer_config("3d-sc", true_box=true_box) for true_box in (False, True))
+    assert metric == PEER_CONFIGS["3d-sc"]
+    assert boxed == replace(metric, steps=metric.steps // 4, rate=metric.rate / 4, prior_share=0.0)
+    with pytest.raises(InvalidOption, match="no peer 'magic'"):
+        peer_config("magic", true_box=True)
+
+
+def test_the_true_box_starts_from_the_weights_of_the_metric_way(tmp_path: Path, monkeypatch) -> None:
+    torch.manual_seed(7)
+    metric, asked = make_network("pcn").eval(), []
+
+    def load(name: str, *, true_box: bool):
+        asked.append((name, true_box))
+        return metric
+
+    monkeypatch.setattr(peers, "load_network", load)
+    config = replace(SMALL, steps=1, rate=1e-9)
+    path = train_peer(
+        "pcn", true_box=True, config=config, classes=["bowl"], out=tmp_path / "own.safetensors", runs=tmp_path
+    )
+    assert asked == [("pcn", False)]
+    assert json.loads(path.read_text(encoding="utf-8"))["data"]["start"] == "peer_pcn"
+    for key, tensor in read_network("pcn", tmp_path / "own.safetensors").state_dict().items():
+        torch.testing.assert_close(tensor, metric.state_dict()[key], atol=1e-3, rtol=1e-3)
+
+
+def test_the_true_box_needs_the_weights_of_the_metric_way(tmp_path: Path, monkeypatch) -> None:
+    def load(name: str, *, true_box: bool):
+        raise NotTrained("none")
+
+    monkeypatch.setattr(peers, "load_network", load)
+    with pytest.raises(NotTrained):
+        train_peer("pcn", true_box=True, runs=tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("name", ["topnet", "3d-sc"])
+def test_a_run_writes_weights_that_load_and_a_card_that_says_how(name: str, tmp_path: Path) -> None:
     told: list[int] = []
-    config = replace(SMALL, steps=4, prior_share=PEER_CONFIGS[name].prior_share)
+    config, true_box = replace(SMALL, steps=4, prior_share=PEER_CONFIGS[name].prior_share), False
     how = {"true_box": true_box, "config": config, "classes": ["bowl", "car"], "runs": tmp_path}
     out = tmp_path / "own.safetensors"
     path = train_peer(name, out=out, report=lambda step, loss: told.append(step), **how)
     card = json.loads(path.read_text(encoding="utf-8"))
     assert told == [1, 2, 3, 4]
     assert card["config"] == asdict(config)
-    assert card["data"] == {"classes": ["bowl", "car"], "split": "train", "true_box": true_box, "views": 4}
+    assert card["data"] == {"classes": ["bowl", "car"], "split": "train", "true_box": False, "views": 4, "start": None}
     steps = {key: [point[0] for point in points] for key, points in card.items() if key.startswith("learning_curve")}
     both = {"learning_curve": [1, 2], "learning_curve_of_prior": [1, 2]}
     assert steps == (both if name == "3d-sc" else {"learning_curve": [1, 2, 3, 4]})

@@ -3,8 +3,9 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
-from typing import Annotated, cast
+from typing import Annotated
 
 import typer
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeElapsedColumn, TimeRemainingColumn
@@ -111,20 +112,20 @@ def gfpnet(
     workers: Workers = 1,
     seed: Seed = 0,
 ) -> None:
-    """The deformation network."""
-    from gfp_grasp.deform import Variant
-    from gfp_grasp.train import GFPNET_CONFIGS, train_gfpnet
+    """The deformation network; the paper's two learn in the paper's own setting."""
+    from gfp_grasp.train import GFPNET_CONFIG, PAPER_CONFIGS, train_gfpnet, train_paper
 
-    if variant not in GFPNET_CONFIGS:
-        raise InvalidOption(f"--variant is {variant!r}; legal are {', '.join(GFPNET_CONFIGS)}")
-    chosen = cast(Variant, variant)
-    default = GFPNET_CONFIGS[chosen]
+    kinds = {"patch": (GFPNET_CONFIG, train_gfpnet)} | {
+        name: (own, partial(train_paper, name)) for name, own in PAPER_CONFIGS.items()
+    }
+    if variant not in kinds:
+        raise InvalidOption(f"--variant is {variant!r}; legal are {', '.join(kinds)}")
+    default, run = kinds[variant]
     config = replace(
         default, seed=seed, device=device, steps=steps or default.steps, rate=default.rate if rate is None else rate
     )
     with _bar(f"gfpnet {variant}", config.steps) as report:
-        card = train_gfpnet(
-            chosen,
+        card = run(
             classes=_listed(classes),
             config=config,
             num_views=views,
@@ -237,7 +238,7 @@ def peer(
     name: Annotated[str, typer.Argument(help="pcn, foldingnet, topnet, 3d-epn, 3d-sc or scrg.")],
     true_box: Annotated[
         bool,
-        typer.Option("--true-box", help="Learn in the true box, as the papers do; left out, around what was seen."),
+        typer.Option("--true-box", help="Go on in the true box, as the papers do; left out, around what was seen."),
     ] = False,
     classes: Annotated[
         str | None,
@@ -253,12 +254,10 @@ def peer(
     workers: Workers = 1,
     seed: Seed = 0,
 ) -> None:
-    """One of the networks that GFPNet is compared with: forty minutes of one core, whichever it is."""
-    from gfp_grasp.peers import get_peer
-    from gfp_grasp.train import PEER_CONFIGS, train_peer
+    """One of the networks that GFPNet is compared with: forty minutes of one core, ten more in the true box."""
+    from gfp_grasp.train import peer_config, train_peer
 
-    get_peer(name)
-    config = replace(PEER_CONFIGS[name], seed=seed, device=device)
+    config = replace(peer_config(name, true_box=true_box), seed=seed, device=device)
     config = replace(config, steps=steps or config.steps, members=members or config.members)
     with _bar(name, config.steps) as report:
         card = train_peer(

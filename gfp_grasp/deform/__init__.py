@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING
 
 from gfp_grasp.deform.gfs import SnakeConfig, evolve
 from gfp_grasp.deform.patches import MISFIT_SHARE, NUM_TEMPLATE, Patches, make_patches
-from gfp_grasp.deform.shape import DeformConfig, Deformed, Method, deform
+from gfp_grasp.deform.shape import DeformConfig, Deformed, Method, deform, diffuse
 from gfp_grasp.deform.standing import stand_on, stood
 from gfp_grasp.deform.template import (
     NUM_PATCHES,
@@ -50,6 +50,7 @@ __all__ = [
     "TemplatePoints",
     "Variant",
     "deform",
+    "diffuse",
     "evolve",
     "fit_features",
     "make_levers",

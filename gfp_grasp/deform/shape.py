@@ -166,7 +166,8 @@ def deform(fit: FittedPrimitive, view: LevelView, *, config: DeformConfig = Defo
         moved, kept = damp_until_solid(placed, faces, stood(placed, faces, view) - placed)
         return Deformed(moved, unknown, kept)
     # The paper knows of no symmetry.
-    template = template_points(fit, view, symmetry=config.symmetry and config.method != "gfpnet-paper")
+    symmetry = config.symmetry and config.method not in ("gfpnet-paper", "gfpnet-oneshot")
+    template = template_points(fit, view, symmetry=symmetry)
     if config.method == "gfs":
         displacement, sigma_m = _by_contour(fit, vertices, template, config.snake), np.full(len(vertices), np.nan)
     else:

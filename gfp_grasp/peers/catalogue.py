@@ -67,5 +67,5 @@ def check_trained(name: str, *, true_box: bool) -> None:
         command = f"gfp-grasp train peer {name}{' --true-box' if true_box else ''}"
         raise NotTrained(
             f"the weights of the peer {name!r} ({file}) do not ship with this installation: `{command}` trains it, "
-            "forty minutes of one core, and puts them there"
+            f"{'ten' if true_box else 'forty'} minutes of one core, and puts them there"
         )

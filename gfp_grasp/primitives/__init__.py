@@ -3,6 +3,7 @@
 from gfp_grasp.primitives.build import BuildConfig, build_primitive, with_parts
 from gfp_grasp.primitives.evaluate import PrimitiveReport, fit_full_surface, measure_primitive
 from gfp_grasp.primitives.library import PrimitiveLibrary
+from gfp_grasp.primitives.mls import project
 from gfp_grasp.primitives.pose import bring_into_one_pose
 from gfp_grasp.primitives.regions import detect_symmetry
 from gfp_grasp.primitives.store import read_primitive, save_primitive
@@ -16,6 +17,7 @@ __all__ = [
     "detect_symmetry",
     "fit_full_surface",
     "measure_primitive",
+    "project",
     "read_primitive",
     "save_primitive",
     "with_parts",

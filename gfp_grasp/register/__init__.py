@@ -3,7 +3,7 @@
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from gfp_grasp.register.config import STARTS, FitConfig, RefineConfig, icp_config, pcrnet_config
+from gfp_grasp.register.config import STARTS, FitConfig, RefineConfig, icp_config, pcrnet_config, size_of_extents
 from gfp_grasp.register.fit import fit_best, fit_primitive, part_is_seen
 from gfp_grasp.register.starts import make_starts
 from gfp_grasp.register.state import PoseShape
@@ -26,6 +26,7 @@ __all__ = [
     "part_is_seen",
     "pcrnet_config",
     "rotation_of",
+    "size_of_extents",
 ]
 
 

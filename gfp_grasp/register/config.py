@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Literal
 
+import numpy as np
+
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.types import GenericPrimitive
 
@@ -167,3 +169,15 @@ def pcrnet_config(*, size: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> FitC
         size: (3,) scale of the primitive along its axes; ones are its own size.
     """
     return FitConfig(start="pcrnet", roundness=False, size=size, refine=False, thorough=_RIGID)
+
+
+def size_of_extents(primitive: GenericPrimitive, extents: np.ndarray) -> tuple[float, float, float]:
+    """Scale that gives a primitive a height and a mean width.
+
+    Args:
+        primitive: What is scaled.
+        extents: (3,) m, true extents along the axes of the object as it stands.
+    """
+    own = np.ptp(primitive.vertices, axis=0)
+    wide = float(extents[:2].mean() / own[:2].mean())
+    return wide, wide, float(extents[2] / own[2])

@@ -21,12 +21,14 @@ from gfp_grasp.train.views import View, ViewsConfig, across_edge, render_views, 
 
 if TYPE_CHECKING:
     from gfp_grasp.train.classfree import ClassfreeConfig, train_classfree
-    from gfp_grasp.train.gfpnet import GFPNET_CONFIGS, paper_loss, patches_of_split, train_gfpnet
+    from gfp_grasp.train.gfpnet import GFPNET_CONFIG, train_gfpnet
     from gfp_grasp.train.instances import InstancesConfig, train_instances
     from gfp_grasp.train.loop import Batch, LoopConfig, shuffled, train
     from gfp_grasp.train.openset import SIGHTS, OpenSetConfig, OpenSetRow, openset_rows, train_openset
+    from gfp_grasp.train.paper import PAPER_CONFIGS, looped_back_loss, paper_loss, train_paper
+    from gfp_grasp.train.paper_data import paper_patches
     from gfp_grasp.train.pcrnet import PCRNET_CONFIG, train_pcrnet
-    from gfp_grasp.train.peers import PEER_CONFIGS, PeerConfig, train_peer
+    from gfp_grasp.train.peers import PEER_CONFIGS, PeerConfig, peer_config, train_peer
     from gfp_grasp.train.pointrcnn import PointRCNNConfig, measure_pointrcnn, train_pointrcnn
     from gfp_grasp.train.proposal import train_proposal
     from gfp_grasp.train.proposal_batches import LIDAR_CONFIG, ProposalConfig
@@ -34,8 +36,9 @@ if TYPE_CHECKING:
 
 __all__ = [
     "CACHE",
-    "GFPNET_CONFIGS",
+    "GFPNET_CONFIG",
     "LIDAR_CONFIG",
+    "PAPER_CONFIGS",
     "PCRNET_CONFIG",
     "PEER_CONFIGS",
     "SIGHTS",
@@ -63,12 +66,14 @@ __all__ = [
     "build_shipped",
     "class_examples",
     "draw_things",
+    "looped_back_loss",
     "make_prototypes",
     "measure_against_hull",
     "measure_pointrcnn",
     "openset_rows",
     "paper_loss",
-    "patches_of_split",
+    "paper_patches",
+    "peer_config",
     "procedural_members",
     "read_street",
     "render_street",
@@ -85,6 +90,7 @@ __all__ = [
     "train_gfpnet",
     "train_instances",
     "train_openset",
+    "train_paper",
     "train_pcrnet",
     "train_peer",
     "train_pointrcnn",
@@ -98,14 +104,15 @@ _WITH_TORCH = {
     **dict.fromkeys(("ClassfreeConfig", "train_classfree"), "classfree"),
     **dict.fromkeys(("train_proposal",), "proposal"),
     **dict.fromkeys(("LIDAR_CONFIG", "ProposalConfig"), "proposal_batches"),
-    **dict.fromkeys(("GFPNET_CONFIGS", "train_gfpnet"), "gfpnet"),
+    **dict.fromkeys(("GFPNET_CONFIG", "train_gfpnet"), "gfpnet"),
     **dict.fromkeys(("InstancesConfig", "train_instances"), "instances"),
-    **dict.fromkeys(("paper_loss", "patches_of_split"), "gfpnet"),
+    **dict.fromkeys(("PAPER_CONFIGS", "looped_back_loss", "paper_loss", "train_paper"), "paper"),
+    **dict.fromkeys(("paper_patches",), "paper_data"),
     **dict.fromkeys(("Batch", "LoopConfig", "shuffled", "train"), "loop"),
     **dict.fromkeys(("SIGHTS", "OpenSetConfig", "OpenSetRow", "openset_rows", "train_openset"), "openset"),
     **dict.fromkeys(("PCRNET_CONFIG", "train_pcrnet"), "pcrnet"),
     **dict.fromkeys(("PointRCNNConfig", "measure_pointrcnn", "train_pointrcnn"), "pointrcnn"),
-    **dict.fromkeys(("PEER_CONFIGS", "PeerConfig", "train_peer"), "peers"),
+    **dict.fromkeys(("PEER_CONFIGS", "PeerConfig", "peer_config", "train_peer"), "peers"),
     **dict.fromkeys(("make_prototypes", "with_prototypes"), "prototypes"),
 }
 

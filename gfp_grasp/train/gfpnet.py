@@ -1,7 +1,6 @@
-"""Training of the three GFPNets on labelled patches of registered primitives: `gfp-grasp train gfpnet`.
+"""Training of the default GFPNet on labelled patches of registered primitives: `gfp-grasp train gfpnet`.
 
-The paper's networks learn from patches one by one, by Chamfer distance and Laplacian. Letters: o objects, p patches of
-one, b patches, n source points, m template points, k neighbours, c channels.
+Letters: o objects, p patches of one, n source points, m template points, c channels.
 """
 
 from __future__ import annotations
@@ -33,78 +32,18 @@ from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.register import FitConfig
 from gfp_grasp.scenes import shipped_families
 from gfp_grasp.train.labels import make_labels
-from gfp_grasp.train.loop import Batch, LoopConfig, shuffled, train, training_key, write_weights
-from gfp_grasp.train.patch_data import Objects, PrimitiveTable, augmented, load_objects, single_patches
+from gfp_grasp.train.loop import Batch, LoopConfig, mean_mm, shuffled, train, training_key, write_weights
+from gfp_grasp.train.patch_data import Objects, PrimitiveTable, augmented, load_objects
 
-_CHAMFER_SHARE = 0.7  # the paper's loss: 0.7 Chamfer distance + 0.3 Laplacian
-_NEIGHBOURS = 8
-
-
-def paper_loss(network: nn.Module, batch: Batch) -> Tensor:
-    """The paper's eq. 1: 0.7 times the Chamfer distance to the label and 0.3 times the Laplacian's.
-
-    Its eq. 3 as printed, the mean position of the neighbours, has no useful minimum; the Laplacian here is the
-    distance of each point to the mean of its neighbours on S, less the label's own.
-    """
-    source, template, target, _ = batch
-    moved = network(source, template).float()
-    pairwise = torch.cdist(moved, target)
-    chamfer = pairwise.amin(dim=2).mean() + pairwise.amin(dim=1).mean()
-    near = torch.cdist(source, source).topk(_NEIGHBOURS + 1, largest=False).indices[..., 1:]
-    laplacian = (_lap(moved, near).norm(dim=-1) - _lap(target, near).norm(dim=-1)).abs().mean()
-    return _CHAMFER_SHARE * chamfer + (1 - _CHAMFER_SHARE) * laplacian
-
-
-def _lap(points: Tensor, near: Tensor) -> Tensor:
-    b, n, k = near.shape
-    around = torch.gather(points[:, None].expand(b, n, n, 3), 2, near[..., None].expand(b, n, k, 3))
-    return points - around.mean(dim=2)
-
-
-def patches_of_split(split: str, num_views: int, limit: int | None, runs: Path, workers: int = 1) -> Batch:
-    """S, T, label (b, n, 3) and unit (b,) of a split's patches that see something: what the paper's networks learn."""
-    library = PrimitiveLibrary.shipped()
-    make = partial(
-        make_labels, library=library, split=split, num_views=num_views, limit=limit, runs=runs, workers=workers
-    )
-    objects, _ = load_objects(make, PrimitiveTable.of(library, shipped_families()))
-    return single_patches(objects)
-
-
-def measure_paper(network: nn.Module, data: Batch) -> dict[str, float]:
-    """Mean distance of the patches' points to the labels, mm, undeformed and as their nearest of the predicted set."""
-    source, template, target, unit_m = data
-    after = []
-    with torch.inference_mode():
-        for s, t, wanted in zip(source.split(512), template.split(512), target.split(512), strict=True):
-            after.append(torch.cdist(network(s.float(), t.float()), wanted.float()).amin(dim=1))
-    return {
-        "val_samples": len(source),
-        "mean_error_before_mm": mean_mm(unit_m[:, None] * (target - source).float().norm(dim=-1)),
-        "mean_error_after_mm": mean_mm(unit_m[:, None] * torch.cat(after)),
-    }
-
-
-def mean_mm(distance_m: Tensor) -> float:
-    """Mean of distances, in millimetres as a card says them."""
-    return round(float(distance_m.mean()) * 1000, 3)
-
-
-GFPNET_CONFIGS: dict[Variant, LoopConfig] = {
-    "patch": LoopConfig(steps=4000, batch=16, rate=1e-3, decay=0.7, weight_decay=0.01),  # a batch of whole objects
-    # The paper's optimiser, rate and batch; steps are ours.
-    "paper-iterative": LoopConfig(steps=400, batch=256),
-    "paper-oneshot": LoopConfig(steps=1500, batch=256),
-}
+GFPNET_CONFIG = LoopConfig(steps=4000, batch=16, rate=1e-3, decay=0.7, weight_decay=0.01)  # a batch of whole objects
 _ALONG = 0.3  # weight of an error along the surface against one across it
 
 
 def train_gfpnet(
-    variant: Variant = "patch",
     *,
     classes: Sequence[str] | None = None,
     library: PrimitiveLibrary | None = None,
-    config: LoopConfig | None = None,
+    config: LoopConfig = GFPNET_CONFIG,
     num_views: int = 4,
     limit: int | None = None,
     data: Path | None = None,
@@ -118,11 +57,10 @@ def train_gfpnet(
     """Train one network, measure it on the validation split and write weights and card.
 
     Args:
-        variant: "patch" (per-point decoder), "paper-iterative" or "paper-oneshot".
         classes: Classes whose shapes are learnt from; None takes all of the library, the household ones of the shipped
             one.
         library: Their primitives; None takes the shipped ones.
-        config: Schedule; None is the variant's own.
+        config: Schedule.
         num_views: Views of each shape.
         limit: Shapes of a class; None takes the whole split.
         data: Folder of meshes, as `read_dataset` takes it; None takes procedural shapes.
@@ -130,7 +68,7 @@ def train_gfpnet(
         runs: Folder of caches and checkpoints.
         workers: Processes that make labels.
         fit: Registration that labels start from.
-        start: Weights file of the same variant to go on from, whose card becomes a part of the new one; None starts
+        start: Weights file to go on from, whose card becomes a part of the new one; None starts
             anew.
         report: Progress.
 
@@ -138,31 +76,29 @@ def train_gfpnet(
         Path of the card.
 
     Raises:
-        UnreadableFile: `start` holds no weights of this variant, or has no card beside it.
+        UnreadableFile: `start` holds no weights of this network, or has no card beside it.
     """
-    config = config or GFPNET_CONFIGS[variant]
     classes = classes or (shipped_families() if library is None else library.categories)
     library = library or PrimitiveLibrary.shipped()
     table = PrimitiveTable.of(library, tuple(classes))
     torch.manual_seed(config.seed)
-    network, begun = (make_network(variant), None) if start is None else _begun(variant, start)
+    network, before = (make_network("patch"), None) if start is None else begun("patch", start)
     make = partial(make_labels, library=library, num_views=num_views, runs=runs, workers=workers, fit=fit, data=data)
     objects, counts = load_objects(partial(make, split="train", limit=limit), table)
-    whole = variant == "patch"
-    key = training_key(config, table.categories, library, num_views, limit, data, fit, begun)
+    key = training_key(config, table.categories, library, num_views, limit, data, fit, before)
     network, hours = train(
         network,
-        augmented(shuffled(objects, config.batch)) if whole else shuffled(single_patches(objects), config.batch),
-        partial(point_loss, table=table) if whole else paper_loss,
+        augmented(shuffled(objects, config.batch)),
+        partial(point_loss, table=table),
         config=config,
-        checkpoint=runs / "gfpnet" / f"{variant}_{key}.pt",
+        checkpoint=runs / "gfpnet" / f"patch_{key}.pt",
         report=report,
     )
     network = network.half().float()
     held_out, _ = load_objects(partial(make, split="val", limit=None if limit is None else max(1, limit // 4)), table)
     return write_weights(
         network,
-        out or data_dir("weights") / f"{WEIGHTS[variant]}.safetensors",
+        out or data_dir("weights") / f"{WEIGHTS['patch']}.safetensors",
         config=config,
         data={
             "classes": table.categories,
@@ -174,13 +110,17 @@ def train_gfpnet(
             "labels": counts,
         },
         hours=hours,
-        metrics=_measure(network, held_out, table) if whole else measure_paper(network, single_patches(held_out)),
-        extra=None if begun is None else {"start": begun},
+        metrics=_measure(network, held_out, table),
+        extra=None if before is None else {"start": before},
     )
 
 
-def _begun(variant: Variant, start: Path) -> tuple[nn.Module, dict[str, object]]:
-    """The network of a weights file, in training mode, and the card beside it."""
+def begun(variant: Variant, start: Path) -> tuple[nn.Module, dict[str, object]]:
+    """The network of a weights file, in training mode, and the card beside it.
+
+    Raises:
+        UnreadableFile: The file holds no weights of this variant, or has no card beside it.
+    """
     card = start.with_suffix(".json")
     if not card.is_file():
         raise UnreadableFile(f"{start} has no card {card.name} beside it: `gfp-grasp train gfpnet` writes both")

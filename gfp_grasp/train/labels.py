@@ -26,9 +26,9 @@ from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.register import FitConfig, fit_best, part_is_seen
 from gfp_grasp.train.views import View, cached_views
 from gfp_grasp.transforms import apply_T, invert_T
-from gfp_grasp.types import FittedPrimitive, GenericPrimitive
+from gfp_grasp.types import GenericPrimitive
 
-_MAX_RESIDUAL = 1 / 15  # of a label that is kept, patch units: 2 mm on a cup
+MOST_RESIDUAL = 1 / 15  # of a label that is kept, patch units: 2 mm on a cup
 _ALL = 1000
 _MODES = (_ALL, _ALL, 8, 3)  # that a label's fit may use, drawn by view
 _STAGES = (
@@ -88,27 +88,27 @@ def make_labels(
     return [label for label, _ in answers if label is not None], counts
 
 
-def label_fit(fit: FittedPrimitive, truth_points: np.ndarray, truth_normals: np.ndarray) -> tuple[np.ndarray, float]:
-    """Draw a fit onto a whole true surface.
+def draw_onto(
+    primitive: GenericPrimitive, vertices: np.ndarray, truth_points: np.ndarray, truth_normals: np.ndarray
+) -> tuple[np.ndarray, float]:
+    """Draw a fitted primitive onto a whole true surface by the active contour.
 
     Args:
-        fit: Registered primitive.
-        truth_points: (n, 3) m, dense samples in the fit's own frame.
+        primitive: What was fitted.
+        vertices: (v, 3) m, the fit.
+        truth_points: (n, 3) m, dense samples in the same frame.
         truth_normals: (n, 3) unit, outward.
 
     Returns:
         (v, 3) m label and its mean distance m to the surface.
     """
-    vertices = fit.primitive.shape(fit.coefficients, fit.scale)
-    moved = vertices
+    unit_m, moved = patch_unit_m(primitive), vertices
     for stage in _STAGES:
-        moved = evolve(
-            moved, fit.primitive.faces, truth_points, truth_normals, unit_m=patch_unit_m(fit.primitive), config=stage
-        )
-    normals = vertex_normals(moved, fit.primitive.faces)
+        moved = evolve(moved, primitive.faces, truth_points, truth_normals, unit_m=unit_m, config=stage)
+    normals = vertex_normals(moved, primitive.faces)
     distance, nearest = KDTree(truth_points).query(moved, k=8)
     agrees = np.einsum("vi,vki->vk", normals, truth_normals[nearest]) > 0.5
-    far_m = 2 * _MAX_RESIDUAL * patch_unit_m(fit.primitive)
+    far_m = 2 * MOST_RESIDUAL * unit_m
     return moved, float(np.where(agrees, distance, far_m).min(axis=1).mean())
 
 
@@ -170,12 +170,12 @@ def _label(
     points, normals, _ = sample_surface(mesh, 12000, np.random.default_rng(view.seed))
     T_object_world = invert_T(level.T_world_level @ fit.T_world_object)
     T = T_object_world @ view.T_world_object
-    target, residual = label_fit(fit, apply_T(T, points), normals @ T[:3, :3].T)
-    if residual > _MAX_RESIDUAL * patch_unit_m(fit.primitive):
+    vertices = fit.primitive.shape(fit.coefficients, fit.scale)
+    target, residual = draw_onto(fit.primitive, vertices, apply_T(T, points), normals @ T[:3, :3].T)
+    if residual > MOST_RESIDUAL * patch_unit_m(fit.primitive):
         return None, "residual"
     if len(crossing_faces(target, fit.primitive.faces)) > 0.01 * len(target):
         return None, "folded"
-    vertices = fit.primitive.shape(fit.coefficients, fit.scale)
     viewpoint = apply_T(T_object_world, view.viewpoint)
     template = template_points(fit, level)
     name, coefficients = fit.primitive.name, fit.coefficients

@@ -155,6 +155,11 @@ def training_key(*content: object) -> str:
     return hashlib.sha256(repr(content).encode()).hexdigest()[:10]
 
 
+def mean_mm(distance_m: Tensor) -> float:
+    """Mean of distances, in millimetres as a card says them."""
+    return round(float(distance_m.mean()) * 1000, 3)
+
+
 def shuffled(parts: Batch, batch: int) -> Callable[[torch.Generator], Iterator[Batch]]:
     """Endless batches of samples drawn without replacement, pass after pass, from tensors of equal length."""
 

@@ -171,10 +171,3 @@ def object_of(label: Label, table: PrimitiveTable) -> tuple[object, ...]:
         p.pose_features, fit_features(fit),
         offset, p.frames, label.scale, coefficients, number, np.float32(p.unit_m),
     )  # fmt: skip
-
-
-def single_patches(objects: Objects) -> Batch:
-    """S, T and label (b, ...) of the patches that see something, and their unit (b,) m."""
-    sees = objects.pose_features[..., -1] > 0
-    unit_m = objects.unit_m[:, None].expand(sees.shape)
-    return tuple(part[sees] for part in (objects.source, objects.template, objects.source + objects.offset, unit_m))

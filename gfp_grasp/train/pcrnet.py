@@ -1,6 +1,6 @@
 """Training of PCRNet on the starts that registration really has, for views of shapes.
 
-Pairs are seen as a completion sees them: z up and x towards the viewer.
+Pairs are seen as a completion sees them: z up and x towards the viewer. Those of traffic are seen by a LiDAR.
 """
 
 from __future__ import annotations
@@ -19,13 +19,18 @@ from gfp_grasp.level import make_level_view
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.register import PCRNet, PoseShape, make_starts, network_input, rotation_of
 from gfp_grasp.scenes import shipped_families
-from gfp_grasp.train.loop import Batch, LoopConfig, shuffled, train, write_weights
-from gfp_grasp.train.views import View, cached_views
+from gfp_grasp.shapes import IN_PAPER
+from gfp_grasp.train.by_sensor import class_sensor, class_views
+from gfp_grasp.train.curves import LearningCurve
+from gfp_grasp.train.loop import Batch, LoopConfig, shuffled, train, training_key, write_weights
+from gfp_grasp.train.views import View
 from gfp_grasp.transforms import invert_T, rotation_about, rotation_between
 from gfp_grasp.types import GenericPrimitive
 
 PCRNET_CONFIG = LoopConfig(steps=2500, batch=32, rate=1e-3, decay=0.7)
 _MAX_TURN_RAD = np.deg2rad(50)
+_SHIFT = 0.065  # standard deviation of what a start is shifted by, of the primitive's size: 6 mm for a cup
+_CURVE_PAIRS = 256  # that each point of the learning curve is measured on
 
 
 def train_pcrnet(
@@ -44,8 +49,8 @@ def train_pcrnet(
 
     Args:
         config: Schedule.
-        classes: Classes whose shapes are learnt from; None takes all of the library, the household ones of the shipped
-            one.
+        classes: Classes whose shapes are learnt from; None takes all of the library, of the shipped one the household
+            ones and those of the paper's table.
         library: Their primitives; None takes the shipped ones.
         data: Folder of meshes, as `read_dataset` takes it; None takes procedural shapes.
         num_views: Views of each shape.
@@ -58,28 +63,35 @@ def train_pcrnet(
         Path of the card.
     """
     torch.manual_seed(config.seed)
-    categories = tuple(classes or (shipped_families() if library is None else library.categories))
+    shipped = dict.fromkeys((*shipped_families(), *IN_PAPER))
+    categories = tuple(classes or (shipped if library is None else library.categories))
     library = library or PrimitiveLibrary.shipped()
 
     def samples(split: str, seed: int, copies: int) -> Batch:
         rows = []
         rng = np.random.default_rng(seed)
         for category in categories:
-            views = cached_views(category, split, num_views=num_views, limit=limit, folder=runs / "views", data=data)
+            views = class_views(category, split, num_views=num_views, limit=limit, runs=runs, data=data)
             rows += _samples(views, library.primitive(category), rng, copies=copies)
         columns = zip(*rows, strict=True)
         return tuple(torch.tensor(np.array(column), dtype=torch.float32) for column in columns)
 
-    pairs = samples("train", config.seed, 2)
+    network = PCRNet()
+    pairs, held_out = samples("train", config.seed, 2), samples("val", config.seed + 1, 1)
+    some = torch.linspace(0, len(held_out[0]) - 1, _CURVE_PAIRS).long().unique()
+    key = training_key(config, categories, library, num_views, limit, data)
+    folder = runs / "pcrnet"
+    curve = LearningCurve(
+        network, _loss, tuple(part[some] for part in held_out), config.bf16, folder / f"{key}_curve.json", report
+    )
     network, hours = train(
-        PCRNet(),
+        network,
         augmented(shuffled(pairs, config.batch)),
         _loss,
         config=config,
-        checkpoint=runs / "pcrnet" / "checkpoint.pt",
-        report=report,
+        checkpoint=folder / f"{key}.pt",
+        report=curve,
     )
-    held_out = samples("val", config.seed + 1, 1)
     out = out or data_dir("weights") / "pcrnet.safetensors"
     return write_weights(
         network.half().float(),
@@ -94,6 +106,7 @@ def train_pcrnet(
         },
         hours=hours,
         metrics=_measure(network, held_out),
+        extra={"learning_curve": curve.points},
     )
 
 
@@ -120,11 +133,11 @@ def _samples(views: Sequence[View], primitive: GenericPrimitive, rng: np.random.
     """Rows of template and cloud (n, 3), true rotation (3, 3) and translation (3,), radius m, for views of a class."""
     rows = []
     for view in views:
-        level = make_level_view(view.detection())
+        level = make_level_view(view.detection(sensor=class_sensor(view.family)))
         T_level_object = invert_T(level.T_world_level) @ view.T_world_object
         near = [s for s in make_starts(primitive, level, (view.resting,)) if _is_near(s, T_level_object, primitive)]
         for _ in range(copies if near else 0):
-            state = _jittered(near[int(rng.integers(len(near)))], rng)
+            state = _jittered(near[int(rng.integers(len(near)))], rng, _SHIFT * primitive.size_m)
             template, cloud, centre, radius = network_input(state, primitive, level.points)
             R, t = _truth(state, T_level_object, primitive)
             # About the centre, in units of the radius: x -> R (x - c) + (R c + t - c), as the network moves it.
@@ -146,13 +159,13 @@ def _is_near(state: PoseShape, T_here_object: np.ndarray, primitive: GenericPrim
     return float(np.arccos(np.clip((np.trace(R) - 1) / 2, -1, 1))) < _MAX_TURN_RAD
 
 
-def _jittered(state: PoseShape, rng: np.random.Generator) -> PoseShape:
+def _jittered(state: PoseShape, rng: np.random.Generator, shift_m: float) -> PoseShape:
     R = rotation_about(state.axis_world, rng.normal(0, np.deg2rad(8))) @ state.R
     size = float(np.exp(state.log_scale).mean())
     return replace(
         state,
         R=R,
-        t=state.t + rng.normal(0, 0.006, 3) * size,
+        t=state.t + rng.normal(0, shift_m, 3) * size,
         log_scale=state.log_scale + rng.normal(0, 0.05, 3),
     )
 

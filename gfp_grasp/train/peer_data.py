@@ -19,10 +19,9 @@ from gfp_grasp.metrics import visible_surface
 from gfp_grasp.parallel import pmap
 from gfp_grasp.peers import Cube, Seen, cell_middles, cube_of_box, cube_of_seen, seen_in, tidied
 from gfp_grasp.scenes import ObjectSource
-from gfp_grasp.shapes import TRAFFIC
+from gfp_grasp.train.by_sensor import class_views
 from gfp_grasp.train.distances import signed_distances
-from gfp_grasp.train.scans import ScansConfig
-from gfp_grasp.train.views import View, ViewsConfig, cached_views, seed_of
+from gfp_grasp.train.views import View, seed_of
 from gfp_grasp.transforms import apply_T, invert_T, make_T
 from gfp_grasp.types import OrientedBox, PointCloud
 
@@ -132,8 +131,6 @@ def peer_views(
 ) -> list[PeerView]:
     """Views of the first members of classes; views and truths come from the cache where they are in it.
 
-    Vehicles and people are seen by a LiDAR, everything else by a depth camera.
-
     Args:
         classes: Procedural families.
         split: "train", "val" or "test".
@@ -145,15 +142,7 @@ def peer_views(
     """
     found = []
     for name in classes:
-        views = cached_views(
-            name,
-            split,
-            num_views=num_views,
-            limit=members,
-            folder=runs / "views",
-            workers=workers,
-            config=ScansConfig() if name in TRAFFIC else ViewsConfig(),
-        )
+        views = class_views(name, split, limit=members, num_views=num_views, runs=runs, workers=workers)
         sources = {view.source: None for view in views}
         make = partial(cached_truth, folder=runs / "truths")
         truths = dict(zip(sources, pmap(make, list(sources), workers=workers), strict=True))

@@ -1,14 +1,15 @@
 """Trains the networks that GFPNet is compared with: all on the same views, each with the loss of its paper.
 
-`gfp-grasp train peer NAME` renders, trains and measures in the metric way, with `--true-box` in that of the papers. The
-schedules take forty minutes of one core each (EPYC with AVX-512, one thread).
+`gfp-grasp train peer NAME` renders, trains and measures in the metric way, with `--true-box` in that of the papers,
+which goes on from the weights of the metric way. The schedules take forty minutes of one core each (EPYC with AVX-512,
+one thread), those in the true box ten.
 """
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from copy import deepcopy
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -24,11 +25,13 @@ from gfp_grasp.peers import (
     ShapePrior,
     complete_by_peer,
     get_peer,
+    load_network,
     make_network,
     weights_stem,
 )
 from gfp_grasp.shapes import HOUSEHOLD, IN_PAPER, get_family
-from gfp_grasp.train.loop import Batch, LoopConfig, train, training_key, write_weights
+from gfp_grasp.train.curves import LearningCurve
+from gfp_grasp.train.loop import LoopConfig, train, training_key, write_weights
 from gfp_grasp.train.peer_data import PeerView, peer_views
 from gfp_grasp.train.peer_losses import Lesson, lesson_batches, lesson_of, make_batch, prior_lesson
 from gfp_grasp.transforms import apply_T
@@ -71,6 +74,21 @@ PEER_CONFIGS: Mapping[str, PeerConfig] = {
     "scrg": PeerConfig(steps=5_000, batch=16),
 }
 
+_GOES_ON = 1 / 4  # of the steps and of the rate: what the true box takes after the metric way
+
+
+def peer_config(name: str, *, true_box: bool) -> PeerConfig:
+    """Schedule of a peer in either way.
+
+    Raises:
+        InvalidOption: No such peer.
+    """
+    get_peer(name)
+    config = PEER_CONFIGS[name]
+    if not true_box:
+        return config
+    return replace(config, steps=round(_GOES_ON * config.steps), rate=_GOES_ON * config.rate, prior_share=0.0)
+
 
 def train_peer(
     name: str,
@@ -87,8 +105,9 @@ def train_peer(
 
     Args:
         name: One of `gfp_grasp.peers.PEERS`.
-        true_box: Learn in the cube around the true box, in place of that around what was seen.
-        config: Schedule and data; None takes those of PEER_CONFIGS.
+        true_box: Learn in the cube around the true box, in place of that around what was seen, from the weights that
+            the peer has there.
+        config: Schedule and data; None takes those of `peer_config`.
         classes: Procedural families; None takes CLASSES.
         out: Weights file; None is the shipped one.
         runs: Folder of views, truths and checkpoints; a later call goes on from there.
@@ -101,23 +120,30 @@ def train_peer(
     Raises:
         InvalidOption: No such peer.
         UnknownCategory: No such family.
+        NotTrained: The metric way, which the true box goes on from, has no weights.
     """
-    get_peer(name)
-    config = config or PEER_CONFIGS[name]
+    config = config or peer_config(name, true_box=true_box)
     classes = tuple(classes or CLASSES)
     for family in classes:
         get_family(family)
+    start = deepcopy(load_network(name, true_box=False)) if true_box else None
     how = {"true_box": true_box, "runs": runs, "workers": workers}
     views = peer_views(classes, "train", members=config.members, num_views=config.views, **how)
     val = peer_views(classes, "val", members=max(1, config.members // 15), num_views=1, **how)
     course = _Course(config, views, val, runs / "peers", training_key(name, true_box, config, classes), report)
-    network, hours, curves = _trained(name, course)
+    network, hours, curves = _trained(name, course, start)
     network.half().float()  # measured as it will be loaded
     return write_weights(
         network,
         out or data_dir("weights") / f"{weights_stem(name, true_box=true_box)}.safetensors",
         config=config,
-        data={"classes": classes, "split": "train", "true_box": true_box, "views": len(views)},
+        data={
+            "classes": classes,
+            "split": "train",
+            "true_box": true_box,
+            "views": len(views),
+            "start": weights_stem(name, true_box=False) if true_box else None,
+        },
         hours=hours,
         metrics={"val": measure_peer(name, network, val, true_box=true_box)},
         extra=curves,
@@ -183,71 +209,37 @@ class _Course:
         config = replace(self.config, steps=steps)
         every = max(1, len(self.val) // _CURVE_VIEWS)
         held_out = make_batch(self.val[::every][:_CURVE_VIEWS], lesson, np.random.default_rng(config.seed))
-        curve = _Curve(network, lesson, held_out, config.bf16, self.folder / f"{self.key}_{part}_curve.json")
+        report = self.report
 
-        def report(step: int, loss: float) -> None:
-            curve.add(step, loss)
-            if self.report is not None:
-                self.report(before + step, loss)
+        def then(step: int, loss: float) -> None:
+            if report is not None:
+                report(before + step, loss)
 
+        path = self.folder / f"{self.key}_{part}_curve.json"
+        curve = LearningCurve(network, lesson.loss_of_batch, held_out, config.bf16, path, then)
         trained, hours = train(
             network,
             lesson_batches(self.views, lesson, config.batch),
             lesson.loss_of_batch,
             config=config,
             checkpoint=self.folder / f"{self.key}_{part}.pt",
-            report=report,
+            report=curve,
         )
         return trained, hours, curve.points
 
 
-@dataclass(eq=False)
-class _Curve:
-    """A learning curve that outlives a run that is stopped.
+def _trained(name: str, course: _Course, start: PeerNetwork | None) -> tuple[PeerNetwork, float, dict[str, object]]:
+    """The trained network of a peer, the hours of all its parts, and its learning curves for the card.
 
-    Attributes:
-        network: What learns.
-        lesson: How it learns.
-        held_out: A batch of the validation split.
-        bf16: Multiply in bfloat16, as the training does.
-        path: File of the points.
-        points: Steps, mean loss since the point before, and loss of the validation batch.
+    Args:
+        name: The peer.
+        course: Views and schedule.
+        start: What is trained on; None starts anew.
     """
-
-    network: nn.Module
-    lesson: Lesson
-    held_out: Batch
-    bf16: bool
-    path: Path
-    points: list[tuple[int, float, float]] = field(default_factory=list)
-
-    def __post_init__(self) -> None:
-        if self.path.is_file():
-            self.points = [(int(step), own, val) for step, own, val in json.loads(self.path.read_text())]
-
-    def add(self, step: int, loss: float) -> None:
-        """A point; those of steps that a resumed run does again are dropped."""
-        device = next(self.network.parameters()).device
-        given, truth = (part.to(device) for part in self.held_out)
-        self.network.eval()
-        with torch.no_grad(), torch.autocast(device.type, dtype=torch.bfloat16, enabled=self.bf16):
-            val = float(self.lesson.loss(self.network, given, truth))
-        self.network.train()
-        self.points = [point for point in self.points if point[0] < step] + [(step, _short(loss), _short(val))]
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        self.path.write_text(json.dumps(self.points))
-
-
-def _short(value: float) -> float:
-    return float(f"{value:.4g}")
-
-
-def _trained(name: str, course: _Course) -> tuple[PeerNetwork, float, dict[str, object]]:
-    """The trained network of a peer, the hours of all its parts, and its learning curves for the card."""
     torch.manual_seed(course.config.seed)
     steps, hours, curves = course.config.steps, 0.0, {}
-    network, before = make_network(name), 0
-    if isinstance(network, AmortisedFit):
+    network, before = start or make_network(name), 0
+    if start is None and isinstance(network, AmortisedFit):
         before = max(1, round(course.config.prior_share * steps))
         prior, hours, points = course.run(ShapePrior(), prior_lesson(), steps=before, part="prior")
         assert isinstance(prior, ShapePrior)

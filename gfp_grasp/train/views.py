@@ -29,7 +29,15 @@ from gfp_grasp.shapes import split_seeds
 from gfp_grasp.train.rests import draw_rest, ways_of_shape
 from gfp_grasp.train.scans import ScansConfig, scan_of
 from gfp_grasp.transforms import make_T
-from gfp_grasp.types import RESTS, Detection, OrientedBox, PointCloud, SupportPlane
+from gfp_grasp.types import (
+    RESTS,
+    TABLETOP,
+    Detection,
+    OrientedBox,
+    PointCloud,
+    SensorProfile,
+    SupportPlane,
+)
 
 CACHE = Path("runs/views")
 _MIN_PIXELS = 60
@@ -95,8 +103,10 @@ class View:
         """Number of the shape within its class."""
         return seed_of(self.source)
 
-    def detection(self, *, category: str | None = None, support: bool = True) -> Detection:
-        """The view as a detection of known class, its support known or not."""
+    def detection(
+        self, *, category: str | None = None, support: bool = True, sensor: SensorProfile = TABLETOP
+    ) -> Detection:
+        """The view as a detection of known class, its support known or not, by a kind of sensor."""
         category = category or self.family
         low, high = self.points.min(axis=0), self.points.max(axis=0)
         return Detection(
@@ -106,6 +116,7 @@ class View:
             category=category,
             scores={category: 1.0},
             box=OrientedBox(make_T(None, (low + high) / 2), high - low),
+            sensor=sensor,
         )
 
 
