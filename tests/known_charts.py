@@ -2,7 +2,14 @@
 
 from pathlib import Path
 
-from gfp_grasp.drawing import bracket_chart, reasons_chart, reasons_legend, write_bars, write_curves
+from gfp_grasp.drawing import (
+    bracket_chart,
+    reasons_chart,
+    reasons_legend,
+    write_bars,
+    write_curves,
+    write_learning_curves,
+)
 from gfp_grasp.types import REASONS
 
 FOLDER = Path(__file__).with_suffix("")
@@ -52,6 +59,17 @@ def curves(path: Path) -> str:
     return write_curves(rows, path, title="Curves & more", axis="iterations").read_text(encoding="utf-8")
 
 
+def learning(path: Path) -> str:
+    """Four networks, of which one has losses below zero and one hardly learns."""
+    curves = {
+        "falls": [(10 * n, 0.9 * 0.8**n + 0.02, 0.9 * 0.8**n + 0.05) for n in range(1, 21)],
+        "rises & falls": [(n, -0.5 - 0.1 * n, 0.4 - 0.1 * n) for n in range(1, 7)],
+        "still": [(100, 0.31, 0.32), (200, 0.312, 0.318)],
+        "one": [(7, 3.0, 4.0)],
+    }
+    return write_learning_curves(curves, path, title="Learning <curves>").read_text(encoding="utf-8")
+
+
 def drawn(scratch: Path) -> dict[str, str]:
     """All charts by name; the scratch file is written over."""
     return {
@@ -60,6 +78,7 @@ def drawn(scratch: Path) -> dict[str, str]:
         "reasons": reasons(),
         "bars": bars(scratch),
         "curves": curves(scratch),
+        "learning": learning(scratch),
     }
 
 

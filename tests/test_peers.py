@@ -232,7 +232,7 @@ def test_an_unknown_peer_is_told_what_there_is() -> None:
 
 def test_weights_of_another_network_are_refused(tmp_path: Path) -> None:
     save_file({"a": torch.zeros(2)}, tmp_path / "own.safetensors")
-    with pytest.raises(UnreadableFile, match="holds no weights of the peer 'pcn'"):
+    with pytest.raises(UnreadableFile, match="holds no weights of a network 'pcn'"):
         read_network("pcn", tmp_path / "own.safetensors")
 
 

@@ -9,12 +9,12 @@ import json
 from functools import cache
 
 import torch
-from safetensors.torch import load_file
 from torch import Tensor, nn
 from torch.nn import functional
 
 from gfp_grasp.assets import data_file
 from gfp_grasp.classfree.grid import NUM_CHANNELS, REACH
+from gfp_grasp.networks import with_weights
 
 _LEAST_LOG_SCALE = -3.5
 _GROUPS = 8
@@ -118,6 +118,4 @@ def load_network() -> DistanceNet:
     """The shipped network, in evaluation mode, loaded once."""
     card = json.loads(data_file("weights", "classfree.json").read_text(encoding="utf-8"))
     network = DistanceNet(card["config"]["width"], card["config"]["depth"])
-    state = load_file(data_file("weights", "classfree.safetensors"))
-    network.load_state_dict({name: tensor.float() for name, tensor in state.items()})
-    return network.eval()
+    return with_weights(network, data_file("weights", "classfree.safetensors"), name="classfree")

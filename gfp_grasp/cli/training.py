@@ -273,6 +273,23 @@ def peer(
     out.print(str(card), markup=False)
 
 
+@train.command()
+def curves(
+    picture: Annotated[Path, typer.Argument(dir_okay=False, help="Draw them to this .svg file.")],
+    folder: Annotated[
+        Path | None,
+        typer.Option("--weights", exists=True, file_okay=False, help="Folder of cards; left out, the shipped ones."),
+    ] = None,
+) -> None:
+    """The learning curves that the cards of weights keep."""
+    from gfp_grasp.assets import data_dir
+    from gfp_grasp.drawing import write_learning_curves
+    from gfp_grasp.train import curves_of_cards
+
+    found = curves_of_cards(folder or data_dir("weights"))
+    out.print(str(write_learning_curves(found, picture, title="Learning curves")), markup=False)
+
+
 def _listed(classes: str | None) -> tuple[str, ...] | None:
     """The classes of a comma-separated list; None where there is no list."""
     return None if classes is None else tuple(name.strip() for name in classes.split(",") if name.strip())

@@ -7,13 +7,11 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from safetensors import SafetensorError
-from safetensors.torch import load_file
 from torch import nn
 
 from gfp_grasp.assets import data_file
 from gfp_grasp.deform.gfpnet import Variant, make_network
-from gfp_grasp.errors import UnreadableFile
+from gfp_grasp.networks import with_weights
 
 WEIGHTS = {"patch": "gfpnet", "paper-iterative": "gfpnet_paper", "paper-oneshot": "gfpnet_oneshot"}
 
@@ -30,12 +28,7 @@ def read_network(variant: Variant, path: Path) -> nn.Module:
     Raises:
         UnreadableFile: The file holds no weights of this variant.
     """
-    network = make_network(variant)
-    try:
-        network.load_state_dict({name: tensor.float() for name, tensor in load_file(path).items()})
-    except (RuntimeError, SafetensorError) as error:
-        raise UnreadableFile(f"{path} holds no weights of a network {variant!r}: {error}") from error
-    return network.eval()
+    return with_weights(make_network(variant), path, name=variant)
 
 
 @lru_cache(maxsize=4)

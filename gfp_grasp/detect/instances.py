@@ -14,11 +14,11 @@ from itertools import pairwise
 
 import numpy as np
 import torch
-from safetensors.torch import load_file
 from scipy import ndimage
 from torch import Tensor, nn
 
 from gfp_grasp.assets import data_file
+from gfp_grasp.networks import with_weights
 from gfp_grasp.parallel import one_thread
 from gfp_grasp.transforms import cross, rotation_about, rotation_between
 from gfp_grasp.types import DepthImage, SupportPlane
@@ -194,7 +194,5 @@ def gather_votes(votes: Votes, chosen: np.ndarray) -> np.ndarray:
 def load_instances() -> InstanceNet:
     """The shipped network, in evaluation mode, loaded once."""
     card = json.loads(data_file("weights", "instances.json").read_text(encoding="utf-8"))
-    network = InstanceNet(card["config"]["width"])
-    state = load_file(data_file("weights", "instances.safetensors"))
-    network.load_state_dict({n: t.float() if t.is_floating_point() else t for n, t in state.items()})
-    return network.eval()
+    path = data_file("weights", "instances.safetensors")
+    return with_weights(InstanceNet(card["config"]["width"]), path, name="instances")

@@ -9,7 +9,6 @@ from functools import cache
 
 import numpy as np
 import torch
-from safetensors.torch import load_file
 
 from gfp_grasp.assets import data_file
 from gfp_grasp.detect.boxes import SeenScan, things_in
@@ -26,6 +25,7 @@ from gfp_grasp.detect.street_net import (
 )
 from gfp_grasp.detect.turned import inside, suppress
 from gfp_grasp.errors import NothingDetected
+from gfp_grasp.networks import with_weights
 from gfp_grasp.transforms import make_T, rotation_about
 from gfp_grasp.types import LIDAR, Detection, OrientedBox, RangeImage, SensorProfile
 
@@ -55,10 +55,9 @@ def load_pointrcnn() -> ShippedStreetNet:
     """The shipped network, in evaluation mode, loaded once."""
     card = json.loads(data_file("weights", "pointrcnn.json").read_text(encoding="utf-8"))
     classes = tuple(card["config"]["classes"])
-    network = StreetNet(len(classes), card["config"]["width"])
-    state = load_file(data_file("weights", "pointrcnn.safetensors"))
-    network.load_state_dict({n: t.float() if t.is_floating_point() else t for n, t in state.items()})
-    return ShippedStreetNet(network.eval(), classes)
+    path = data_file("weights", "pointrcnn.safetensors")
+    network = with_weights(StreetNet(len(classes), card["config"]["width"]), path, name="pointrcnn")
+    return ShippedStreetNet(network, classes)
 
 
 def detect_traffic(

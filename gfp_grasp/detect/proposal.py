@@ -18,6 +18,7 @@ from scipy.spatial import KDTree
 from torch import Tensor, nn
 
 from gfp_grasp.assets import data_file
+from gfp_grasp.networks import in_single
 from gfp_grasp.parallel import one_thread
 from gfp_grasp.transforms import apply_T, invert_T, make_T, rotation_about, rotation_between
 from gfp_grasp.types import RESTS, TABLETOP, OrientedBox, Proposal, SensorProfile, SupportPlane
@@ -240,8 +241,8 @@ def load_network(weights: str = "proposal") -> ProposalNet:
     """A shipped network, in evaluation mode, loaded once."""
     config = load_card(weights)["config"]
     network = ProposalNet(config["channels"], width=config["width"])
-    state = {k: v.float() for k, v in _tensors(weights).items() if not k.startswith(PROTOTYPES)}
-    network.load_state_dict(state)
+    own = {name: tensor for name, tensor in _tensors(weights).items() if not name.startswith(PROTOTYPES)}
+    network.load_state_dict(in_single(own))
     return network.eval()
 
 

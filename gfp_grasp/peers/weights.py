@@ -6,11 +6,8 @@ from functools import lru_cache
 from importlib import import_module
 from pathlib import Path
 
-from safetensors import SafetensorError
-from safetensors.torch import load_file
-
 from gfp_grasp.assets import data_file
-from gfp_grasp.errors import UnreadableFile
+from gfp_grasp.networks import with_weights
 from gfp_grasp.peers.catalogue import check_trained, get_peer, weights_stem
 from gfp_grasp.peers.network import PeerNetwork
 
@@ -52,9 +49,4 @@ def read_network(name: str, path: Path) -> PeerNetwork:
     Raises:
         UnreadableFile: The file holds no weights of this peer.
     """
-    network = make_network(name)
-    try:
-        network.load_state_dict({key: tensor.float() for key, tensor in load_file(path).items()})
-    except (RuntimeError, SafetensorError) as error:
-        raise UnreadableFile(f"{path} holds no weights of the peer {name!r}: {error}") from error
-    return network.eval()
+    return with_weights(make_network(name), path, name=name)

@@ -17,12 +17,12 @@ from itertools import pairwise
 
 import numpy as np
 import torch
-from safetensors.torch import load_file
 from scipy.spatial.transform import Rotation
 from torch import Tensor, nn
 
 from gfp_grasp.assets import data_file
 from gfp_grasp.clouds import thin
+from gfp_grasp.networks import with_weights
 from gfp_grasp.parallel import one_thread
 from gfp_grasp.register.state import PoseShape, surface_samples
 from gfp_grasp.transforms import rotation_between
@@ -115,10 +115,7 @@ def correct_starts(states: list[PoseShape], primitive: GenericPrimitive, evidenc
 @lru_cache(maxsize=1)
 def load_pcrnet() -> PCRNet:
     """The shipped network, in evaluation mode, loaded once."""
-    network = PCRNet()
-    state = load_file(data_file("weights", "pcrnet.safetensors"))
-    network.load_state_dict({name: tensor.float() for name, tensor in state.items()})
-    return network.eval()
+    return with_weights(PCRNet(), data_file("weights", "pcrnet.safetensors"), name="pcrnet")
 
 
 def _up_to_z(up: np.ndarray) -> np.ndarray:

@@ -21,6 +21,7 @@ from gfp_grasp.train.views import View, ViewsConfig, across_edge, render_views, 
 
 if TYPE_CHECKING:
     from gfp_grasp.train.classfree import ClassfreeConfig, train_classfree
+    from gfp_grasp.train.curves import curves_of_cards
     from gfp_grasp.train.gfpnet import GFPNET_CONFIG, train_gfpnet
     from gfp_grasp.train.instances import InstancesConfig, train_instances
     from gfp_grasp.train.loop import Batch, LoopConfig, shuffled, train
@@ -65,6 +66,7 @@ __all__ = [
     "build_from_shapes",
     "build_shipped",
     "class_examples",
+    "curves_of_cards",
     "draw_things",
     "looped_back_loss",
     "make_prototypes",
@@ -104,6 +106,7 @@ _WITH_TORCH = {
     **dict.fromkeys(("ClassfreeConfig", "train_classfree"), "classfree"),
     **dict.fromkeys(("train_proposal",), "proposal"),
     **dict.fromkeys(("LIDAR_CONFIG", "ProposalConfig"), "proposal_batches"),
+    **dict.fromkeys(("curves_of_cards",), "curves"),
     **dict.fromkeys(("GFPNET_CONFIG", "train_gfpnet"), "gfpnet"),
     **dict.fromkeys(("InstancesConfig", "train_instances"), "instances"),
     **dict.fromkeys(("PAPER_CONFIGS", "looped_back_loss", "paper_loss", "train_paper"), "paper"),

@@ -10,7 +10,10 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
+from gfp_grasp.errors import UnreadableFile
 from gfp_grasp.train.loop import Batch
+
+_CURVE = "learning_curve"  # what the keys of a card begin with that are curves
 
 
 @dataclass(eq=False)
@@ -56,3 +59,22 @@ class LearningCurve:
 
 def _short(value: float) -> float:
     return float(f"{value:.4g}")
+
+
+def curves_of_cards(folder: Path) -> dict[str, list[tuple[int, float, float]]]:
+    """The learning curves that the cards of a folder's weights keep, by file and part of the training.
+
+    Raises:
+        UnreadableFile: No card in the folder has one.
+    """
+    found = {}
+    for path in sorted(folder.glob("*.json")):
+        card = json.loads(path.read_text(encoding="utf-8"))
+        for key in [key for key in card if key.startswith(_CURVE) and card[key]]:
+            part = key.removeprefix(_CURVE).replace("_", " ")
+            found[path.stem + part] = [(int(step), loss, val) for step, loss, val in card[key]]
+    if not found:
+        raise UnreadableFile(
+            f"no card in {folder} has a learning curve: were its weights trained before cards had one?"
+        )
+    return found
