@@ -15,7 +15,7 @@ import gfp_grasp
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGE = ROOT / "gfp_grasp"
 ROWS = (
-    ("errors", "types", "assets", "transforms", "parallel", "journal", "plugins", "units"),
+    ("errors", "types", "assets", "transforms", "parallel", "journal", "plugins", "units", "networks"),
     ("camera", "clouds", "meshes", "metrics", "shapes", "collision"),
     (
         "arguments",
@@ -41,7 +41,7 @@ ROWS = (
 ROW_OF = {room: row for row, rooms in enumerate(ROWS) for room in rooms}
 # A prefix of the module's name under gfp_grasp, for each library that is slow to load or can crash.
 HEAVY = {
-    "torch": ("register.", "detect.", "deform.", "classfree.", "peers.", "train.", "bench.ablation"),
+    "torch": ("networks", "register.", "detect.", "deform.", "classfree.", "peers.", "train.", "bench.ablation"),
     "coacd": ("collision.",),
     "vhacdx": ("collision.",),
     "mujoco": (
