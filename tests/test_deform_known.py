@@ -225,6 +225,15 @@ def test_networks_answer_as_they_have_answered(fit: FittedPrimitive, view: Level
         assert_known("paper network once", paper(source, template, iterations=1).numpy(), rel=1e-3)
 
 
+def test_the_decoder_of_the_papers_network_follows_the_widths_of_its_encoders() -> None:
+    network = PaperNet((8, 16), hidden=(32, 12), num_source=10).eval()
+    layers = [(m.in_features, m.out_features) for m in network.decode if isinstance(m, torch.nn.Linear)]
+    assert layers == [(32, 32), (32, 12), (12, 30)]
+    assert network(torch.zeros(3, 10, 3), torch.zeros(3, 20, 3)).shape == (3, 10, 3)
+    default = [m.in_features for m in PaperNet().decode if isinstance(m, torch.nn.Linear)]
+    assert default == [2048, 1024, 512, 256]
+
+
 def test_networks_have_the_sizes_of_their_variants() -> None:
     patch, iterative, oneshot = (make_network(name) for name in ("patch", "paper-iterative", "paper-oneshot"))
     assert isinstance(iterative, PaperNet)

@@ -258,6 +258,7 @@ class PaperNet(nn.Module):
         widths: Widths of the encoder's layers: 64-128-1024 is the paper's iterative network, 64-128-512-1024 is its
             one-shot network.
         iterations: How often the answer is looped back.
+        hidden: Widths of the decoder's layers between both codes and the set.
         dropout: Before the last layer.
         num_source: Points of S.
     """
@@ -267,6 +268,7 @@ class PaperNet(nn.Module):
         widths: Sequence[int] = (64, 128, 1024),
         *,
         iterations: int = 5,
+        hidden: Sequence[int] = (1024, 512, 256),
         dropout: float = 0.3,
         num_source: int = 64,
     ) -> None:
@@ -275,14 +277,7 @@ class PaperNet(nn.Module):
         self.source = mlp(3, *widths)
         self.template = mlp(3, *widths)
         self.decode = nn.Sequential(
-            nn.Linear(2048, 1024),
-            nn.ReLU(),
-            nn.Linear(1024, 512),
-            nn.ReLU(),
-            nn.Linear(512, 256),
-            nn.ReLU(),
-            nn.Dropout(dropout),
-            nn.Linear(256, num_source * 3),
+            *mlp(2 * widths[-1], *hidden), nn.Dropout(dropout), nn.Linear(hidden[-1], num_source * 3)
         )
         for layer in self.modules():
             if isinstance(layer, nn.Linear):
