@@ -90,6 +90,15 @@ def test_a_run_goes_on_from_its_checkpoint_with_other_batches(tmp_path: Path) ->
     assert again.weight.item() == network.weight.item()
 
 
+def test_a_run_that_is_to_stop_on_the_way_goes_on_by_the_schedule_of_the_whole(tmp_path: Path) -> None:
+    whole, _, _ = _trained(tmp_path, replace(CONFIG, steps=40), name="whole.pt")
+    checkpoint, config = tmp_path / "parts.pt", replace(CONFIG, steps=40)
+    for until, expected in ((13, 13), (26, 26), (20, 26), (50, 40), (None, 40)):
+        network, _ = train(_Weight(), _ones, _steep, config=config, checkpoint=checkpoint, until=until)
+        assert torch.load(checkpoint, weights_only=True)["done"] == expected
+    assert network.weight.item() == pytest.approx(whole.weight.item(), abs=1e-6)
+
+
 def test_reports_are_means_since_the_last_one_a_hundred_times_over_the_schedule(tmp_path: Path) -> None:
     values = iter(range(1, 401))
 

@@ -22,7 +22,6 @@ from gfp_grasp.shapes import IN_PAPER
 from gfp_grasp.train import (
     LoopConfig,
     ViewsConfig,
-    looped_back_loss,
     paper_loss,
     render_views,
     shape_source,
@@ -59,34 +58,33 @@ def test_the_loss_weighs_distance_and_laplacian() -> None:
     assert _lap(points, near)[0].tolist() == [[-1, -2, 0], [2, -2, 0], [-1, 4, 0]]
 
 
-class _Counting(PaperNet):
-    """Adds one to every coordinate by its only weight, and remembers what it was handed."""
-
-    def __init__(self, iterations: int) -> None:
-        super().__init__((8, 1024), iterations=iterations)
-        self.one = nn.Parameter(torch.ones(()))
-        self.handed: list[tuple[Tensor, int, bool]] = []
-
-    def forward(self, source: Tensor, template: Tensor, *, iterations: int | None = None) -> Tensor:
-        assert iterations is not None
-        self.handed.append((source, iterations, torch.is_grad_enabled()))
-        return source + iterations * self.one
-
-
-def test_answers_are_looped_back_without_a_gradient_and_the_last_iteration_has_one() -> None:
+@pytest.mark.parametrize("bf16", [False, True])
+def test_a_set_that_is_looped_back_has_the_gradient_of_its_last_iteration(bf16: bool) -> None:
     torch.manual_seed(0)
-    source = torch.randn(3, 20, 3)
-    network, before = _Counting(4), []
-    for _ in range(200):
-        network.handed.clear()
-        network.zero_grad()
-        looped_back_loss(network, (source, source, source + 10.0, torch.ones(3))).backward()
-        (_, first, with_gradient), (looped, last, has_gradient) = network.handed
-        assert (last, with_gradient, has_gradient) == (1, False, True)
-        torch.testing.assert_close(looped, source + first)
-        assert network.one.grad is not None
-        before.append(first)
-    assert {count: before.count(count) > 30 for count in range(5)} == {0: True, 1: True, 2: True, 3: True, 4: False}
+    network = PaperNet((8, 16), iterations=3, hidden=(16, 8)).eval()
+    source, template, target = (torch.randn(4, 64, 3) for _ in range(3))
+    batch, seen = (source, template, target, torch.ones(4)), set()
+    for seed in range(8):
+        before = int(torch.randint(3, (), generator=torch.Generator().manual_seed(seed)))
+        with torch.autocast("cpu", dtype=torch.bfloat16, enabled=bf16):
+            with torch.no_grad():
+                start = network(source, template, iterations=before)
+            expected = paper_loss(lambda _, t, s=start: network(s, t, iterations=1), batch)
+        torch.manual_seed(seed)
+        with torch.autocast("cpu", dtype=torch.bfloat16, enabled=bf16):
+            found = looped_loss(network, batch)
+        assert found.item() == pytest.approx(expected.item(), rel=1e-5)
+        for mine, its in zip(_gradients(network, found), _gradients(network, expected), strict=True):
+            assert mine.any()
+            assert torch.allclose(mine, its, rtol=1e-4, atol=1e-7)
+        seen.add(before)
+    assert seen == {0, 1, 2}
+    once = PaperNet((8, 16), iterations=1).eval()
+    assert torch.equal(looped_back(once, source, template), once(source, template))
+
+
+def _gradients(network: nn.Module, loss: Tensor) -> list[Tensor]:
+    return list(torch.autograd.grad(loss, [p for name, p in network.named_parameters() if "weight" in name]))
 
 
 @pytest.mark.parametrize("variant", list(PAPER_CONFIGS))

@@ -9,6 +9,7 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 import torch
@@ -18,6 +19,7 @@ from torch import Tensor, nn
 from gfp_grasp.errors import InvalidOption
 
 Batch = tuple[Tensor, ...]
+Network = TypeVar("Network", bound=nn.Module)
 
 
 @dataclass(frozen=True)
@@ -52,14 +54,15 @@ class LoopConfig:
 
 
 def train(
-    network: nn.Module,
+    network: Network,
     batches: Callable[[torch.Generator], Iterator[Batch]],
-    loss: Callable[[nn.Module, Batch], Tensor],
+    loss: Callable[[Network, Batch], Tensor],
     *,
     config: LoopConfig,
     checkpoint: Path,
+    until: int | None = None,
     report: Callable[[int, float], None] | None = None,
-) -> tuple[nn.Module, float]:
+) -> tuple[Network, float]:
     """Optimise a network with Adam (AdamW where weights decay); resumes from the checkpoint where there is one.
 
     Args:
@@ -68,6 +71,7 @@ def train(
         loss: Scalar loss of one batch.
         config: Schedule.
         checkpoint: File that holds the state between runs.
+        until: Step after which to stop for now, its state in the checkpoint; None is the end of the schedule.
         report: Told the step and the mean loss since the last report, about every hundredth of the schedule.
 
     Returns:
@@ -75,7 +79,7 @@ def train(
     """
     network.to(config.device).train()
     optimiser = torch.optim.AdamW(network.parameters(), lr=config.rate, weight_decay=config.weight_decay)
-    span = max(1, config.steps // 10)
+    span, last = max(1, config.steps // 10), config.steps if until is None else min(until, config.steps)
     schedule = torch.optim.lr_scheduler.StepLR(optimiser, span, config.decay)
     done, seconds = 0, 0.0
     if checkpoint.is_file():
@@ -88,7 +92,7 @@ def train(
     stream = batches(torch.Generator().manual_seed(config.seed * 1_000_003 + done))
     start = saved = time.monotonic()
     summed, count = 0.0, 0
-    for step in range(done, config.steps):
+    for step in range(done, last):
         batch = tuple(_ready(part, config.device) for part in next(stream))
         with torch.autocast(config.device, dtype=torch.bfloat16, enabled=config.bf16):
             value = loss(network, batch)
@@ -102,7 +106,7 @@ def train(
             report(step + 1, summed / count)
             summed, count = 0.0, 0
         now = time.monotonic()
-        if now - saved > config.checkpoint_s or step + 1 == config.steps:
+        if now - saved > config.checkpoint_s or step + 1 == last:
             saved = now
             _save_checkpoint(checkpoint, network, optimiser, schedule, step + 1, seconds + now - start)
     return network.cpu().eval(), (seconds + time.monotonic() - start) / 3600

@@ -35,7 +35,7 @@ PAPER_CONFIGS: dict[Variant, LoopConfig] = {
 }
 
 
-def paper_loss(network: nn.Module, batch: Batch) -> Tensor:
+def paper_loss(network: Callable[[Tensor, Tensor], Tensor], batch: Batch) -> Tensor:
     """The paper's eq. 1: 0.7 times the Chamfer distance to the label and 0.3 times the Laplacian's.
 
     Its eq. 3 as printed, the mean position of the neighbours, has no useful minimum; the Laplacian here is the
@@ -55,28 +55,19 @@ def _lap(points: Tensor, near: Tensor) -> Tensor:
     return points - around.mean(dim=2)
 
 
-def looped_back_loss(network: nn.Module, batch: Batch) -> Tensor:
-    """`paper_loss` after a random number of iterations, up to the network's own; its gradient goes through the last.
+def looped_loss(network: PaperNet, batch: Batch) -> Tensor:
+    """The loss `paper_loss` of `looped_back`: a network learns each number of its iterations for the price of one."""
+    return paper_loss(partial(looped_back, network), batch)
 
-    The network meets its own answers as it does in use, at a third of the cost of unrolling all iterations.
+
+def looped_back(network: PaperNet, source: Tensor, template: Tensor) -> Tensor:
+    """The set MS (b, n, 3) after one to `network.iterations` iterations, as many as torch's generator says.
+
+    Gradients flow through the last iteration alone: those before it give a set to start from, as if it were S.
     """
-    assert isinstance(network, PaperNet)
-    source, template, target, unit_m = batch
-    before = int(torch.randint(network.iterations, ()))
     with torch.no_grad():
-        looped = network(source, template, iterations=before).float()
-    return paper_loss(_Last(network), (looped, template, target, unit_m))
-
-
-class _Last(nn.Module):
-    """One iteration of a network that loops its answer back."""
-
-    def __init__(self, network: PaperNet) -> None:
-        super().__init__()
-        self.network = network
-
-    def forward(self, source: Tensor, template: Tensor) -> Tensor:
-        return self.network(source, template, iterations=1)
+        source = network(source, template, iterations=int(torch.randint(network.iterations, ())))
+    return network(source, template, iterations=1)
 
 
 def train_paper(
@@ -121,6 +112,7 @@ def train_paper(
     config, classes = config or PAPER_CONFIGS[variant], tuple(classes or IN_PAPER)
     torch.manual_seed(config.seed)
     network, before = (make_network(variant), None) if start is None else begun(variant, start)
+    assert isinstance(network, PaperNet)
     make = partial(paper_patches, classes=classes, num_views=num_views, data=data, runs=runs, workers=workers)
     members = limit or _MEMBERS
     patches, counts = make("train", members=members)
@@ -138,7 +130,7 @@ def train_paper(
     network, hours = train(
         network,
         shuffled(patches, config.batch),
-        looped_back_loss,
+        looped_loss,
         config=config,
         checkpoint=runs / "gfpnet" / f"{variant}_{key}.pt",
         report=curve,
