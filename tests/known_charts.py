@@ -8,6 +8,7 @@ from gfp_grasp.drawing import (
     reasons_legend,
     write_bars,
     write_curves,
+    write_front,
     write_learning_curves,
 )
 from gfp_grasp.types import REASONS
@@ -54,9 +55,19 @@ def bars(path: Path) -> str:
 
 
 def curves(path: Path) -> str:
-    """More curves than colours, of two lengths."""
+    """More curves than colours, of two lengths, and a panel of one curve beside them."""
     rows = {name: [4.0, 2.0 - 0.1 * i, 1.0][: 3 - i % 2] for i, name in enumerate("abcdef")}
-    return write_curves(rows, path, title="Curves & more", axis="iterations").read_text(encoding="utf-8")
+    panels = {"six & more": rows, "one": {"g": [3.0, 3.5, 2.5]}}
+    return write_curves(panels, path, title="Curves & more", axis="iterations").read_text(encoding="utf-8")
+
+
+def front(path: Path) -> str:
+    """Six networks, three of them in front, and one of these marked."""
+    ms = (0.8, 30.0, 12.0, 210.0, 2.5, 60.0)
+    cd_mm = (9.75, 9.1, 8.6, 8.125, 10.5, 9.9)
+    rows = [{"name": f"<{i}>, m = {i}", "ms": m, "cd_mm": c} for i, (m, c) in enumerate(zip(ms, cd_mm, strict=True))]
+    found = [rows[0], rows[2], rows[3]]
+    return write_front(rows, found, rows[3], path, title="Networks & more").read_text(encoding="utf-8")
 
 
 def learning(path: Path) -> str:
@@ -79,6 +90,7 @@ def drawn(scratch: Path) -> dict[str, str]:
         "bars": bars(scratch),
         "curves": curves(scratch),
         "learning": learning(scratch),
+        "front": front(scratch),
     }
 
 

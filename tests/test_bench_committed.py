@@ -22,7 +22,7 @@ from gfp_grasp.bench import (
     registration,
     rows,
 )
-from gfp_grasp.bench.ablation import ITERATIONS, WIDTHS
+from gfp_grasp.bench.ablation import ITERATIONS
 from gfp_grasp.bench.collision import PartsRow
 from gfp_grasp.bench.hollow import HollowRow
 from gfp_grasp.bench.hostile import HostileRow
@@ -143,8 +143,11 @@ def test_figures_of_readiness_follow_from_their_rows_and_are_of_every_completer(
 def test_the_ablation_was_made_with_the_defaults_and_has_every_row():
     report = committed("ablation")
     assert report["settings"] == {**asdict(AblationConfig()), "iterations": list(ITERATIONS)}
-    assert list(report["rows"]) == [*(f"{layers} layers" for layers in WIDTHS), "3 layers, 0.01 m noise"]
-    assert all(len(row["cd_mm"]) == len(ITERATIONS) == 7 for row in report["rows"].values())
+    assert len(report["rows"]) == 13
+    assert "64-128-1024, 0.01 m noise" in report["rows"]
+    for row in report["rows"].values():
+        assert len(row["cd_mm"]) == len(ITERATIONS) == 7
+        assert row["thirds_mm"][2] == row["cd_mm"][4]
 
 
 @pytest.mark.parametrize("protocol", ["standard", "fallen", "hidden", "noisy"])

@@ -1,33 +1,26 @@
-"""The benches of registrations and of the ablation, with fits and networks whose errors are known."""
+"""The bench of registrations, with fits whose errors are known."""
 
-import json
 from dataclasses import asdict, replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-import torch
 from bodies import l_shape
 from clocks import SteadyClock
-from torch import nn
 from toy_bodies import primitive_of
 
 from gfp_grasp.bench import (
-    AblationConfig,
     RegistrationConfig,
-    ablation,
-    bench_ablation,
     bench_registration,
     registration,
 )
-from gfp_grasp.bench.ablation import ITERATIONS, WIDTHS
 from gfp_grasp.bench.registration import FitRow
-from gfp_grasp.errors import FitDiverged, InvalidOption
+from gfp_grasp.errors import FitDiverged
 from gfp_grasp.register import FitConfig
 from gfp_grasp.scenes import shipped_families
 from gfp_grasp.shapes import split_seeds
-from gfp_grasp.train import LoopConfig, ViewsConfig, paper_loss, shape_source
+from gfp_grasp.train import ViewsConfig, shape_source
 from gfp_grasp.transforms import apply_T, make_T, rotation_about
 from gfp_grasp.types import FittedPrimitive
 
@@ -154,125 +147,3 @@ def test_every_shape_is_fitted_in_every_view_from_every_start(monkeypatch, mean_
     assert report["rows"]["all"]["box"]["views"] == 40
     assert report["rows"]["mug"]["box"]["cd_m"] == 0.5
     assert report["settings"] == {**asdict(config), "view": asdict(ViewsConfig())}
-
-
-class Shifting(nn.Module):
-    """Moves points by one more tenth along x at each iteration."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.asked: list[tuple[int, int]] = []
-
-    def forward(self, source, template, *, iterations):
-        self.asked.append((len(source), iterations))
-        return source + torch.tensor([0.1 * iterations, 0.0, 0.0])
-
-
-def patches(count: int, unit_m: float = 0.02):
-    """S on a line along y with wide gaps, T, the label, which is S, and the unit."""
-    line = torch.zeros(count, 3, 3)
-    line[:, :, 1] = torch.tensor([0.0, 10.0, 20.0])
-    return line, line + 5.0, line.clone(), torch.full((count,), unit_m)
-
-
-def test_the_distance_of_predicted_sets_is_taken_both_ways_in_the_patches_own_units():
-    network = Shifting()
-    source, template, target, unit_m = patches(600)
-    unit_m[::2] = 0.04
-    found = ablation._chamfer_mm(network, source, template, target, unit_m, 3)
-    assert found == pytest.approx(2 * 0.3 * 0.03 * 1000)
-    assert network.asked == [(256, 3), (256, 3), (88, 3)]
-
-
-@pytest.mark.parametrize(("noise_m", "deviation"), [(0.0, 0.0), (0.01, 0.5)])
-def test_noise_is_added_to_the_template_in_metres(noise_m, deviation):
-    batch = patches(400)
-    stream = ablation._noisy(lambda generator: iter([batch]), noise_m)
-    ((source, template, target, unit_m),) = stream(torch.Generator().manual_seed(1))
-    assert source is batch[0]
-    assert target is batch[2]
-    assert unit_m is batch[3]
-    assert float((template - batch[1]).std()) == pytest.approx(deviation, rel=0.05)
-    assert float((template - batch[1]).mean()) == pytest.approx(0.0, abs=0.05)
-
-
-CONFIG = AblationConfig(steps=7, batch=5, limit=4, views=2, noise_m=0.02, seed=3)
-
-
-@pytest.fixture
-def trained(monkeypatch) -> dict[str, list]:
-    """The bench without training; what was asked."""
-    trained: dict[str, list] = {"patches": [], "nets": [], "noise": [], "runs": []}
-
-    def of_split(*which):
-        trained["patches"].append(which)
-        return tuple(part[: (3000 if which[0] == "val" else 8)] for part in patches(3000))
-
-    def net(widths):
-        trained["nets"].append((widths, torch.initial_seed()))
-        return Shifting()
-
-    def noisy(stream, noise_m):
-        trained["noise"].append(noise_m)
-        return "stream"
-
-    def train(network, stream, loss, *, config, checkpoint):
-        trained["runs"].append((stream, loss, config, checkpoint))
-        return network, 0.123456
-
-    fakes = {"patches_of_split": of_split, "PaperNet": net, "_noisy": noisy, "train": train}
-    for name, fake in fakes.items():
-        monkeypatch.setattr(ablation, name, fake)
-    return trained
-
-
-def test_every_row_is_trained_alike_and_measured_at_each_number_of_iterations(trained, tmp_path):
-    begun: list[str] = []
-    report = bench_ablation(config=CONFIG, runs=tmp_path, workers=6, report=begun.append)
-    names = ["2 layers", "3 layers", "4 layers", "5 layers", "3 layers, 0.02 m noise"]
-    assert begun == list(report["rows"]) == names
-    row = {"cd_mm": [round(2 * 0.1 * m * 0.02 * 1000, 4) for m in range(1, 8)], "hours": 0.1235}
-    for found in report["rows"].values():
-        assert found["hours"] == row["hours"]
-        assert found["cd_mm"] == pytest.approx(row["cd_mm"], abs=2e-4)
-    assert report["settings"] == {**asdict(CONFIG), "iterations": [1, 2, 3, 4, 5, 6, 7]}
-    assert trained["patches"] == [("train", 2, 4, tmp_path, 6), ("val", 2, 4, tmp_path, 6)]
-    layers = [(64, 1024), (64, 128, 1024), (64, 128, 512, 1024), (64, 128, 256, 512, 1024), (64, 128, 1024)]
-    assert trained["nets"] == [(widths, 3) for widths in layers]
-    assert trained["noise"] == [0.0, 0.0, 0.0, 0.0, 0.02]
-    loop = LoopConfig(steps=7, batch=5, rate=1e-3, seed=3, checkpoint_s=30.0)
-    folder = tmp_path / "ablation" / "7_5_4_2_0.02_3"
-    files = ["2_layers", "3_layers", "4_layers", "5_layers", "3_layers_0.02_m_noise"]
-    assert trained["runs"] == [("stream", paper_loss, loop, folder / f"{name}.pt") for name in files]
-    assert json.loads((folder / "2_layers.json").read_text()) == report["rows"]["2 layers"]
-    (folder / "3_layers.json").unlink()
-    bench_ablation(config=CONFIG, runs=tmp_path, report=begun.append)
-    assert begun[5:] == ["3 layers"]
-    assert trained["patches"][2:] == [("train", 2, 4, tmp_path, 1), ("val", 2, 4, tmp_path, 1)]
-
-
-def test_two_thousand_patches_of_the_validation_split_are_measured_whatever_the_seed(trained, tmp_path, monkeypatch):
-    measured = []
-
-    def chamfer(network, source, template, target, unit_m, iterations):
-        measured.append((source, template, target, unit_m, iterations))
-        return 1.23456
-
-    held_out = tuple(torch.arange(3000.0) + 10_000 * part for part in range(4))
-    monkeypatch.setattr(ablation, "_chamfer_mm", chamfer)
-    for seed in (3, 4):
-        row = ablation._row(3, 0.0, patches(8), held_out, replace(CONFIG, seed=seed), tmp_path / "a.pt")
-        assert row == {"cd_mm": [1.2346] * 7, "hours": 0.1235}
-    picked = torch.randperm(3000, generator=torch.Generator().manual_seed(0))[:2048].float()
-    for *parts, _ in measured:
-        for number, part in enumerate(parts):
-            assert torch.equal(part, picked + 10_000 * number)
-    assert [m for *_, m in measured] == [*ITERATIONS, *ITERATIONS]
-
-
-@pytest.mark.parametrize("wrong", [{"batch": 0}, {"limit": 0}, {"views": 0}, {"noise_m": 0.0}, {"steps": 0}])
-def test_an_ablation_of_nothing_is_refused(wrong):
-    with pytest.raises(InvalidOption, match="positive numbers"):
-        AblationConfig(**wrong)
-    assert AblationConfig(steps=1, batch=1, limit=1, views=1).seed == 0
-    assert list(WIDTHS) == [2, 3, 4, 5]

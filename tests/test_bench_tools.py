@@ -10,9 +10,7 @@ import pytest
 from gfp_grasp.bench import (
     BRIEF,
     METHODS,
-    AblationConfig,
     CompletionConfig,
-    bench_ablation,
     bench_completion,
     bench_speed,
     bench_stability,
@@ -100,8 +98,10 @@ def test_charts_are_drawings_with_every_row(tmp_path: Path):
     words = _words(write_bars(rows, tmp_path / "rows.svg", title="Rows & columns"))
     assert {"cup", "all", "gfpnet", "a <b>", "4.00", "12.00", "Rows & columns"} <= words
     assert "none" not in words
-    words = _words(write_curves({"3 layers": [3.0, 2.0, 1.5]}, tmp_path / "lines.svg", title="T", axis="iterations"))
-    assert {"3 layers", "iterations", "1", "2", "3"} <= words
+    words = _words(
+        write_curves({"wide": {"3 layers": [3.0, 2.0, 1.5]}}, tmp_path / "lines.svg", title="T", axis="iterations")
+    )
+    assert {"wide", "3 layers", "iterations", "1", "2", "3"} <= words
 
 
 def test_an_operating_curve_marks_the_threshold_that_was_chosen(tmp_path: Path):
@@ -145,18 +145,3 @@ def test_speed_and_stability_report_what_they_ran():
         bench_stability(motions=0)
     with pytest.raises(InvalidOption):
         bench_speed(limit=0)
-
-
-def test_an_ablation_that_was_stopped_goes_on_with_the_rows_it_lacks(tmp_path: Path):
-    config, begun = AblationConfig(steps=2, batch=8, limit=2, views=1), []
-    report: Any = bench_ablation(config=config, runs=tmp_path, report=begun.append)
-    assert len(begun) == len(report["rows"]) == 5
-    for row in report["rows"].values():
-        assert len(row["cd_mm"]) == 7
-        assert min(row["cd_mm"]) > 0
-    next(iter((tmp_path / "ablation").rglob("*4_layers*.json"))).unlink()
-    again = bench_ablation(config=config, runs=tmp_path, report=begun.append)
-    assert begun[5:] == ["4 layers"]
-    assert set(again["rows"]) == set(report["rows"])  # type: ignore[call-overload]
-    with pytest.raises(InvalidOption):
-        AblationConfig(steps=0)

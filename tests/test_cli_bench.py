@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 from recorded_calls import recorded, rows_of, run
 
-from gfp_grasp.bench import BRIEF, METHODS, AblationConfig, CompletionConfig, RegistrationConfig
+from gfp_grasp.bench import BRIEF, METHODS, AblationConfig, CompletionConfig, RegistrationConfig, SearchConfig
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.train import OpenSetConfig
 
@@ -174,7 +174,15 @@ def test_detection_hands_on_every_option(
 def test_ablation_hands_on_every_option_and_prints_a_column_for_each_number_of_iterations(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, json_file: Path
 ) -> None:
-    report = {"rows": {"gcn": {"cd_mm": [7.126, 6.0, 5.0, 4.0, 3.0, 2.0, 1.004]}}}
+    cd_mm = [7.126, 6.0, 5.0, 4.0, 3.0, 2.0, 1.004]
+    report = {
+        "settings": {"iterations": [1, 2, 3, 4, 5, 6, 7]},
+        "rows": {
+            "8-32": {"cd_mm": cd_mm, "thirds_mm": [4.5, 3.5, 3.0], "widths": [8, 32]},
+            "4-16": {"cd_mm": cd_mm, "thirds_mm": [4.5, 3.5, 3.0], "widths": [4, 16]},
+            "8-4-32": {"cd_mm": cd_mm, "thirds_mm": [9.125, 8.0, 3.0], "widths": [8, 4, 32]},
+        },
+    }
     bench = recorded(monkeypatch, "gfp_grasp.bench.bench_ablation", report)
     curves = recorded(monkeypatch, "gfp_grasp.drawing.write_curves")
     words = "bench ablation --steps 30 --limit 8 --runs elsewhere --workers 3 --seed 4 --picture"
@@ -186,15 +194,43 @@ def test_ablation_hands_on_every_option_and_prints_a_column_for_each_number_of_i
         "runs": Path("elsewhere"),
         "workers": 3,
     }
-    title = f"Layers by iterations after 30 steps of {AblationConfig().batch} patches: not converged"
-    assert curves.only == (
-        ({"gcn": report["rows"]["gcn"]["cd_mm"]}, tmp_path / "lines.svg"),
-        {"title": title, "axis": "iterations m"},
-    )
+    title = f"Layers and widths by iterations after 30 steps of {AblationConfig().batch} patches"
+    panels = {"codes of 32": {"8-32": cd_mm, "8-4-32": cd_mm}, "codes of 16": {"4-16": cd_mm}}
+    assert curves.only == ((panels, tmp_path / "lines.svg"), {"title": title, "axis": "iterations m"})
     printed = capsys.readouterr().out
-    assert [f"m = {m}" in printed for m in range(9)] == [False, *[True] * 7, False]
-    assert rows_of(printed) == ["gcn     │  7.13 │  6.00 │  5.00 │  4.00 │  3.00 │  2.00 │  1.00"]
+    assert [f"m = {m} " in printed for m in range(9)] == [False, *[True] * 7, False]
+    figures = " │  7.13 │  6.00 │  5.00 │  4.00 │  3.00 │  2.00 │  1.00 │ "
+    assert rows_of(printed)[::2] == [f"8-32   {figures}4.50 │ 3.50", f"8-4-32 {figures}9.12 │ 8.00"]
     assert json.loads(json_file.read_text()) == report
+    assert run("bench ablation") == 0
+    assert bench.calls[1][1]["config"] == AblationConfig()
+
+
+def test_search_hands_on_every_option_and_prints_the_front_and_the_papers_network(
+    monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, json_file: Path
+) -> None:
+    quick = {"name": "8-32, 64-32-16, m = 1", "ms": 0.126, "cd_mm": 9.876, "parameters": 4321}
+    paper = {"name": "64-1024, 64-32-16, m = 5", "ms": 41.0, "cd_mm": 9.9, "parameters": 1234567}
+    report = {"settings": {}, "trials": [paper, quick], "front": [quick], "paper": paper}
+    bench = recorded(monkeypatch, "gfp_grasp.bench.bench_search", report)
+    drawn = recorded(monkeypatch, "gfp_grasp.drawing.write_front")
+    words = "bench search --trials 9 --steps 30 --limit 8 --runs elsewhere --workers 3 --seed 4 --picture"
+    assert run(words, tmp_path / "front.svg", "--json", json_file) == 0
+    _, named = bench.only
+    assert named.pop("report")
+    config = SearchConfig(steps=30, limit=8, seed=4, trials=9)
+    assert named == {"config": config, "runs": Path("elsewhere"), "workers": 3}
+    title = f"Networks of the paper's kind after 30 steps of {config.batch} patches"
+    assert drawn.only == (([paper, quick], [quick], paper, tmp_path / "front.svg"), {"title": title})
+    printed = capsys.readouterr().out
+    assert "front of 2 networks" in printed
+    assert [[cell.strip() for cell in row.split("│")] for row in rows_of(printed)] == [
+        ["8-32, 64-32-16, m = 1", "0.13", "9.88", "4321"],
+        ["the paper's: 64-1024, 64-32-16, m = 5", "41.00", "9.90", "1234567"],
+    ]
+    assert json.loads(json_file.read_text()) == report
+    assert run("bench search") == 0
+    assert bench.calls[1][1]["config"] == SearchConfig()
 
 
 SPEED = {"limit": 7, "calls": 5, "seed": 3, "progress": "bar of clouds"}

@@ -28,6 +28,7 @@ from gfp_grasp.drawing import (
     write_confusion,
     write_curves,
     write_depth,
+    write_front,
 )
 from gfp_grasp.drawing.charts import _HATCHES
 from gfp_grasp.drawing.pictures import FRAME_PX, film_camera
@@ -196,16 +197,44 @@ def test_bars_are_as_long_as_their_distance_and_the_longest_fills_its_panel(tmp_
     assert bars[0].get("fill") == bars[2].get("fill")
 
 
-def test_curves_stand_at_their_values_over_one_two_three(tmp_path: Path):
-    drawing = ElementTree.parse(
-        write_curves({"a": [4.0, 2.0, 1.0]}, tmp_path / "lines.svg", title="T", axis="iterations")
-    ).getroot()
-    (line,) = drawing.iter("{http://www.w3.org/2000/svg}polyline")
-    points = np.array([[float(n) for n in pair.split(",")] for pair in (line.get("points") or "").split()])
-    assert np.ptp(np.diff(points[:, 0])) < 0.11  # evenly spaced
-    bottom, top = 310.0, 60.0
-    highest = 1.1 * 4.0
-    np.testing.assert_allclose(points[:, 1], bottom - (bottom - top) * np.array([4.0, 2.0, 1.0]) / highest, atol=0.06)
+def test_curves_of_all_panels_stand_at_their_values_over_one_two_three(tmp_path: Path):
+    panels = {"left": {"a": [4.0, 2.0, 1.0], "b": [3.0]}, "right": {"c": [2.0, 5.0, 3.0]}}
+    chart = write_curves(panels, tmp_path / "lines.svg", title="T", axis="iterations")
+    lines = _polylines(ElementTree.parse(chart).getroot())
+    heights = np.concatenate([line[:, 1] for line in lines])
+    values = np.array([4.0, 2.0, 1.0, 3.0, 2.0, 5.0, 3.0])
+    slope, height = np.polyfit(values, heights, 1)
+    np.testing.assert_allclose(heights, slope * values + height, atol=0.06)
+    assert slope < 0  # more is higher up
+    np.testing.assert_allclose(np.diff(lines[0][:, 0]), np.diff(lines[2][:, 0]), atol=0.11)
+    assert lines[2][0, 0] > lines[0][2, 0]  # beside each other
+    levels = ElementTree.parse(chart).getroot().findall("{http://www.w3.org/2000/svg}line")
+    told = [(float(line.get("y1", "")) - height) / slope for line in levels]
+    np.testing.assert_allclose(told, [1, 2, 3, 4, 5] * 2, atol=0.01)
+
+
+def test_a_front_stands_as_a_stair_at_ratios_of_time_and_the_papers_network_is_marked(tmp_path: Path):
+    rows = [{"name": n, "ms": m, "cd_mm": c} for n, m, c in (("a", 1.0, 9.0), ("b", 10.0, 8.0), ("c", 100.0, 5.0))]
+    far = {"name": "d", "ms": 100.0, "cd_mm": 9.0}
+    chart = write_front([*rows, far], rows, far, tmp_path / "front.svg", title="T")
+    drawing = ElementTree.parse(chart).getroot()
+    dots = drawing.findall("{http://www.w3.org/2000/svg}circle")
+    assert len(dots) == 4 + 3  # those of the front once more, upon the others
+    (ax, ay), (bx, by), (cx, cy), (dx, dy) = ((float(d.get("cx", "")), float(d.get("cy", ""))) for d in dots[:4])
+    assert cx - bx == pytest.approx(bx - ax, abs=0.11)
+    assert cy - by == pytest.approx(3 * (by - ay), abs=0.2)
+    assert ax < bx < cx
+    assert ay < by < cy
+    stair, diamond, _ = drawing.findall("{http://www.w3.org/2000/svg}path")
+    assert stair.get("d") == f"M{ax},{ay} H{bx} V{by} H{cx} V{cy}"
+    assert str(diamond.get("d")).startswith(f"M{dx},{dy - 8:.1f} ")
+
+
+def _polylines(drawing: ElementTree.Element) -> list[np.ndarray]:
+    lines = drawing.findall("{http://www.w3.org/2000/svg}polyline")
+    return [
+        np.array([[float(n) for n in pair.split(",")] for pair in (line.get("points") or "").split()]) for line in lines
+    ]
 
 
 def test_a_confusion_is_as_dark_as_a_class_is_often_named_and_tells_what_is_wrong(tmp_path: Path):

@@ -10,7 +10,7 @@ import pytest
 from gfp_grasp.drawing import bracket_chart, escaped, html_page, without_paths, write_bars, write_curves
 
 
-@pytest.mark.parametrize("name", ["success", "half_way", "reasons", "bars", "curves"])
+@pytest.mark.parametrize("name", ["success", "half_way", "reasons", "bars", "curves", "front"])
 def test_chart_is_the_known_one(name: str, tmp_path: Path) -> None:
     known = (known_charts.FOLDER / f"{name}.svg").read_text(encoding="utf-8")
     assert known_charts.drawn(tmp_path / "chart.svg")[name].rstrip("\n") == known.rstrip("\n")
@@ -28,8 +28,8 @@ def test_charts_of_nothing_are_drawn_all_the_same(tmp_path: Path) -> None:
     assert re.findall(r'width="(0\.0)" height="14"', chart) == ["0.0"]
     none = write_bars({"cup": {"other": {}}}, tmp_path / "none.svg", title="").read_text(encoding="utf-8")
     assert 'height="74"' in none
-    one = write_curves({"a": [2.0]}, tmp_path / "one.svg", title="", axis="").read_text(encoding="utf-8")
-    assert 'points="60.0,82.7"' in one
+    one = write_curves({"": {"a": [2.0]}}, tmp_path / "one.svg", title="", axis="").read_text(encoding="utf-8")
+    assert 'points="60.0,193.0"' in one  # a value alone stands half way up
 
 
 def test_a_bracket_alone_leaves_no_space_between() -> None:

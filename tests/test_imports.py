@@ -41,7 +41,7 @@ ROWS = (
 ROW_OF = {room: row for row, rooms in enumerate(ROWS) for room in rooms}
 # A prefix of the module's name under gfp_grasp, for each library that is slow to load or can crash.
 HEAVY = {
-    "torch": ("networks", "register.", "detect.", "deform.", "classfree.", "peers.", "train.", "bench.ablation"),
+    "torch": ("networks", "register.", "detect.", "deform.", "classfree.", "peers.", "train.", "bench.paper_nets"),
     "coacd": ("collision.",),
     "vhacdx": ("collision.",),
     "mujoco": (
@@ -54,6 +54,7 @@ HEAVY = {
         "bench.collision",
         "examples.",
     ),
+    "optuna": ("bench.search",),
     "ray": ("parallel.jobs",),
     "viser": ("view.",),
 }

@@ -22,6 +22,8 @@ from gfp_grasp.shapes import IN_PAPER
 from gfp_grasp.train import (
     LoopConfig,
     ViewsConfig,
+    looped_back,
+    looped_loss,
     paper_loss,
     render_views,
     shape_source,

@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from gfp_grasp.bench.ready import ReadyConfig, bench_ready
     from gfp_grasp.bench.ready_table import check_pages, ready_cells, ready_headings, write_pages
     from gfp_grasp.bench.registration import RegistrationConfig, bench_registration
+    from gfp_grasp.bench.search import SearchConfig, bench_search
     from gfp_grasp.bench.speed import bench_resets, bench_speed, bench_stability
     from gfp_grasp.bench.trial import bench_trial
 
@@ -34,6 +35,7 @@ _HOMES = {
     "HostileConfig": ("hostile", "HostileConfig"),
     "ReadyConfig": ("ready", "ReadyConfig"),
     "RegistrationConfig": ("registration", "RegistrationConfig"),
+    "SearchConfig": ("search", "SearchConfig"),
     "bench_ablation": ("ablation", "bench_ablation"),
     "bench_collision": ("collision", "bench_collision"),
     "bench_completion": ("completion", "bench_completion"),
@@ -47,6 +49,7 @@ _HOMES = {
     "bench_ready": ("ready", "bench_ready"),
     "bench_registration": ("registration", "bench_registration"),
     "bench_resets": ("speed", "bench_resets"),
+    "bench_search": ("search", "bench_search"),
     "bench_speed": ("speed", "bench_speed"),
     "bench_stability": ("speed", "bench_stability"),
     "bench_trial": ("trial", "bench_trial"),
@@ -67,6 +70,7 @@ __all__ = [
     "KittiConfig",
     "ReadyConfig",
     "RegistrationConfig",
+    "SearchConfig",
     "bench_ablation",
     "bench_collision",
     "bench_completion",
@@ -79,6 +83,7 @@ __all__ = [
     "bench_ready",
     "bench_registration",
     "bench_resets",
+    "bench_search",
     "bench_speed",
     "bench_stability",
     "bench_trial",

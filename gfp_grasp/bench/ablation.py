@@ -1,54 +1,60 @@
-"""The paper's ablation at a short budget: `gfp-grasp bench ablation`.
+"""The paper's ablation: `gfp-grasp bench ablation`.
 
-Encoders of two to five layers are trained alike, for so few steps that none converges, and each is asked with one to
-seven iterations; the paper's augmenting noise of 0.01 m is a row of its own. What it shows is which way each choice
-pulls, not how good any of them gets.
+Encoders of two to five layers, at the paper's widths, at half and at a quarter of them, are trained alike, and each is
+asked with one to seven iterations; the paper's augmenting noise of 0.01 m is a row of its own. A row says what its
+network came to at a third and at two thirds of its steps, too: where these differ little, more steps would not change
+much. The decoder is the paper's in every row.
 """
 
 from __future__ import annotations
 
 import json
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass
+from functools import cache
 from pathlib import Path
 from typing import Any
 
-import torch
-from torch import Tensor, nn
-
-from gfp_grasp.deform import PaperNet
+from gfp_grasp.bench.paper_nets import (
+    PAPER,
+    Architecture,
+    Budget,
+    PatchSets,
+    chamfers_mm,
+    joined,
+    num_parameters,
+    read_patches,
+    train_paper_net,
+)
 from gfp_grasp.errors import InvalidOption
-from gfp_grasp.train import Batch, LoopConfig, paper_loss, patches_of_split, shuffled, train
+from gfp_grasp.journal import write_whole
 
-WIDTHS = {2: (64, 1024), 3: (64, 128, 1024), 4: (64, 128, 512, 1024), 5: (64, 128, 256, 512, 1024)}
+WIDTHS = ((64, 1024), (64, 128, 1024), (64, 128, 512, 1024), (64, 128, 256, 512, 1024))  # the middle two: the paper's
+DIVISORS = (4, 2, 1)
 ITERATIONS = tuple(range(1, 8))
-_NOISY_LAYERS = 3  # the paper's iterative network
-_MEASURED = 2048  # patches of the validation split
+_SPANS = 3
 
 
 @dataclass(frozen=True)
-class AblationConfig:
-    """Budget of each network.
+class AblationConfig(Budget):
+    """Budget of each of thirteen networks, and the noise of one; as it is, an hour of one core.
 
     Attributes:
         steps: Number of optimiser steps.
         batch: Number of patches a step.
         limit: Number of shapes of a family that patches come from.
         views: Number of views of each shape.
-        noise_m: Standard deviation of the noise in the noisy row, m.
         seed: Seed of every network and of the order of its batches.
+        noise_m: Standard deviation of the noise in the noisy row, m.
     """
 
-    steps: int = 200
-    batch: int = 64
-    limit: int = 60
-    views: int = 3
+    steps: int = 2000
     noise_m: float = 0.01
-    seed: int = 0
 
     def __post_init__(self) -> None:
-        if min(self.steps, self.batch, self.limit, self.views) < 1 or self.noise_m <= 0:
-            raise InvalidOption(f"{self}: positive numbers are expected")
+        super().__post_init__()
+        if self.noise_m <= 0:
+            raise InvalidOption(f"noise_m is {self.noise_m}; a positive number is expected")
 
 
 def bench_ablation(
@@ -67,66 +73,59 @@ def bench_ablation(
         report: Called with the name of each row before it is made.
 
     Returns:
-        {"settings", "rows": {name: {"cd_mm": [of each of ITERATIONS], "hours"}}}, the Chamfer distance of predicted
-        sets to their labels, on patches of the validation split.
+        {"settings", "rows": {name: {"widths", "noise_m", "parameters", "cd_mm": [of each of ITERATIONS], "thirds_mm":
+        [after each third of the steps, of the paper's iterations], "hours"}}}, the Chamfer distance of predicted sets
+        to their labels, on patches of the validation split.
     """
-    folder = runs / "ablation" / "_".join(f"{v}" for v in asdict(config).values())
-    training = held_out = None
+    folder = config.folder(runs, "ablation")
+    patches = cache(lambda: read_patches(config, runs=runs, workers=workers))
     rows = {}
-    for name, layers, noise_m in [
-        *((f"{layers} layers", layers, 0.0) for layers in WIDTHS),
-        (f"{_NOISY_LAYERS} layers, {config.noise_m:g} m noise", _NOISY_LAYERS, config.noise_m),
-    ]:
-        path = folder / f"{name.replace(' ', '_').replace(',', '')}.json"
-        if not path.is_file():
+    for name, widths, noise_m in _plan(config.noise_m):
+        path = folder / f"{name.replace(', ', '_').replace(' ', '_')}.json"
+        row = _begun(path)
+        if "hours" not in row:
             if report is not None:
                 report(name)
-            if training is None or held_out is None:
-                training = patches_of_split("train", config.views, config.limit, runs, workers)
-                held_out = patches_of_split("val", config.views, config.limit, runs, workers)
-            row = _row(layers, noise_m, training, held_out, config, path.with_suffix(".pt"))
-            path.parent.mkdir(parents=True, exist_ok=True)
-            path.write_text(json.dumps(row))
-        rows[name] = json.loads(path.read_text())
+            row = _row(widths, noise_m, row["thirds_mm"], patches(), config, path)
+        rows[name] = row
     return {"settings": {**asdict(config), "iterations": list(ITERATIONS)}, "rows": rows}
 
 
+def _plan(noise_m: float) -> list[tuple[str, tuple[int, ...], float]]:
+    """Name, widths and noise of every row, from the smallest network to the largest."""
+    scaled = [tuple(width // divisor for width in widths) for divisor in DIVISORS for widths in WIDTHS]
+    plain = [(joined(widths), widths, 0.0) for widths in scaled]
+    return [*plain, (f"{joined(PAPER.widths)}, {noise_m:g} m noise", PAPER.widths, noise_m)]
+
+
+def _begun(path: Path) -> dict[str, Any]:
+    """A row as far as it came."""
+    return json.loads(path.read_text()) if path.is_file() else {"thirds_mm": []}
+
+
 def _row(
-    layers: int, noise_m: float, training: Batch, held_out: Batch, config: AblationConfig, checkpoint: Path
+    widths: tuple[int, ...],
+    noise_m: float,
+    thirds_mm: list[float],
+    patches: PatchSets,
+    config: AblationConfig,
+    path: Path,
 ) -> dict[str, Any]:
-    torch.manual_seed(config.seed)
-    loop = LoopConfig(steps=config.steps, batch=config.batch, rate=1e-3, seed=config.seed)
-    network, hours = train(
-        PaperNet(WIDTHS[layers]),
-        _noisy(shuffled(training, config.batch), noise_m),
-        paper_loss,
-        config=replace(loop, checkpoint_s=30.0),
-        checkpoint=checkpoint,
-    )
-    picked = torch.randperm(len(held_out[0]), generator=torch.Generator().manual_seed(0))[:_MEASURED]
-    source, template, target, unit_m = (part[picked].float() for part in held_out)
-    return {
-        "cd_mm": [round(_chamfer_mm(network, source, template, target, unit_m, m), 4) for m in ITERATIONS],
-        "hours": round(hours, 4),
-    }
-
-
-def _noisy(stream, noise_m: float):
-    def batches(generator: torch.Generator):
-        for source, template, target, unit_m in stream(generator):
-            noise = torch.randn(template.shape, generator=generator) * (noise_m / unit_m)[:, None, None]
-            yield source, template.float() + noise, target, unit_m
-
-    return batches
-
-
-def _chamfer_mm(
-    network: nn.Module, source: Tensor, template: Tensor, target: Tensor, unit_m: Tensor, iterations: int
-) -> float:
-    with torch.inference_mode():
-        moved = torch.cat(
-            [network(s, t, iterations=iterations) for s, t in zip(source.split(256), template.split(256), strict=True)]
+    """Train and measure one row from the third of its steps where an earlier run left it."""
+    network = Architecture(widths, max(ITERATIONS)).make(config.seed)
+    checkpoint = path.with_suffix(".pt")
+    row: dict[str, Any] = {"thirds_mm": thirds_mm}
+    for span in range(len(thirds_mm) + 1, _SPANS + 1):
+        until = config.steps * span // _SPANS
+        trained, hours = train_paper_net(
+            network, patches.training, config, checkpoint=checkpoint, noise_m=noise_m, until=until
         )
-        pairwise = torch.cdist(moved, target)
-    chamfer = pairwise.amin(dim=2).mean(dim=1) + pairwise.amin(dim=1).mean(dim=1)
-    return float((chamfer * unit_m).mean()) * 1000
+        cd_mm = chamfers_mm(trained, patches.held_out, max(ITERATIONS))
+        row["thirds_mm"] = [*row["thirds_mm"], cd_mm[PAPER.iterations - 1]]
+        if span == _SPANS:
+            parameters = num_parameters(trained)
+            row |= {"widths": widths, "noise_m": noise_m, "parameters": parameters, "cd_mm": cd_mm}
+            row["hours"] = round(hours, 4)
+        write_whole(path, json.dumps(row))
+    checkpoint.unlink()
+    return _begun(path)

@@ -228,32 +228,6 @@ def _of_hull(figures: Mapping) -> str:
 
 
 @bench.command()
-def ablation(
-    steps: Annotated[int, typer.Option(min=1, help="Steps of each network.")] = 200,
-    limit: Annotated[int, typer.Option(min=1, help="Shapes of each family.")] = 60,
-    runs: Annotated[Path, typer.Option(help="Folder of caches and of finished rows.")] = Path("runs"),
-    workers: Workers = 1,
-    json_file: JsonFile = None,
-    picture: Annotated[Path | None, typer.Option(dir_okay=False, help="Draw the rows to this .svg file.")] = None,
-    seed: Seed = 0,
-) -> None:
-    """The paper's networks by layers and iterations, at a short budget; a run that was stopped goes on."""
-    from gfp_grasp.bench import AblationConfig, bench_ablation
-    from gfp_grasp.drawing import write_curves
-
-    config = AblationConfig(steps=steps, limit=limit, seed=seed)
-    report = bench_ablation(config=config, runs=runs, workers=workers, report=err.print)
-    rows = report["rows"]
-    headings = ("encoder", *(f"m = {m + 1}" for m in range(7)))
-    table(headings, [(name, *(f"{v:.2f}" for v in row["cd_mm"])) for name, row in rows.items()])
-    if picture is not None:
-        curves = {name: row["cd_mm"] for name, row in rows.items()}
-        title = f"Layers by iterations after {steps} steps of {config.batch} patches: not converged"
-        write_curves(curves, picture, title=title, axis="iterations m")
-    save_json(json_file, report)
-
-
-@bench.command()
 def speed(
     objects: Objects = "all",
     limit: Most = 30,

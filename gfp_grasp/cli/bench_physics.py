@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from gfp_grasp.cli.bench import bench
+from gfp_grasp.cli.bench_networks import bench
 from gfp_grasp.cli.terminal import (
     JsonFile,
     Most,

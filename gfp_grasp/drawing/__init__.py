@@ -3,7 +3,6 @@
 from gfp_grasp.drawing.bench_charts import (
     write_bars,
     write_confusion,
-    write_curves,
     write_margins,
     write_operating_curve,
 )
@@ -19,6 +18,7 @@ from gfp_grasp.drawing.charts import (
 from gfp_grasp.drawing.gallery import draw_modes, draw_primitives
 from gfp_grasp.drawing.items import Item, gripper_mesh, items_of, joined_boxes, make_item, plan_among
 from gfp_grasp.drawing.learning import write_learning_curves
+from gfp_grasp.drawing.network_charts import write_curves, write_front
 from gfp_grasp.drawing.pictures import (
     apart,
     every_nth,
@@ -71,6 +71,7 @@ __all__ = [
     "write_confusion",
     "write_curves",
     "write_depth",
+    "write_front",
     "write_learning_curves",
     "write_margins",
     "write_operating_curve",

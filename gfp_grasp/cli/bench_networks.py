@@ -1,0 +1,71 @@
+"""`gfp-grasp bench` of the paper's network: what its parts are worth, and which others are quicker or nearer."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from gfp_grasp.cli.bench import bench
+from gfp_grasp.cli.terminal import JsonFile, Seed, Workers, err, save_json, table
+
+_LimitOfFamily = Annotated[int, typer.Option("--limit", min=1, help="Shapes of each family.")]
+_Steps = Annotated[int, typer.Option(min=1, help="Steps of each network.")]
+_Runs = Annotated[Path, typer.Option(help="Folder of caches and of finished networks.")]
+
+
+@bench.command()
+def ablation(
+    steps: _Steps = 2000,
+    limit: _LimitOfFamily = 60,
+    runs: _Runs = Path("runs"),
+    workers: Workers = 1,
+    json_file: JsonFile = None,
+    picture: Annotated[Path | None, typer.Option(dir_okay=False, help="Draw the rows to this .svg file.")] = None,
+    seed: Seed = 0,
+) -> None:
+    """The paper's networks by layers, widths and iterations, trained alike; a run that was stopped goes on."""
+    from gfp_grasp.bench import AblationConfig, bench_ablation
+    from gfp_grasp.drawing import write_curves
+
+    config = AblationConfig(steps=steps, limit=limit, seed=seed)
+    report = bench_ablation(config=config, runs=runs, workers=workers, report=err.print)
+    rows = report["rows"]
+    headings = ("encoder", *(f"m = {m}" for m in report["settings"]["iterations"]), "1/3", "2/3")
+    cells = [(name, *(f"{v:.2f}" for v in (*row["cd_mm"], *row["thirds_mm"][:2]))) for name, row in rows.items()]
+    table(headings, cells, title="Chamfer distance, mm; at last, of m = 5 after a third and two thirds of the steps")
+    if picture is not None:
+        panels: dict[str, dict[str, list[float]]] = {}
+        for name, row in rows.items():
+            panels.setdefault(f"codes of {row['widths'][-1]}", {})[name] = row["cd_mm"]
+        title = f"Layers and widths by iterations after {steps} steps of {config.batch} patches"
+        write_curves(panels, picture, title=title, axis="iterations m")
+    save_json(json_file, report)
+
+
+@bench.command()
+def search(
+    trials: Annotated[int, typer.Option(min=1, help="Networks to measure.")] = 40,
+    steps: _Steps = 400,
+    limit: _LimitOfFamily = 60,
+    runs: _Runs = Path("runs"),
+    workers: Workers = 1,
+    json_file: JsonFile = None,
+    picture: Annotated[Path | None, typer.Option(dir_okay=False, help="Draw all networks to this .svg file.")] = None,
+    seed: Seed = 0,
+) -> None:
+    """Networks of the paper's kind that are quicker or nearer, by evolution; a run that was stopped goes on."""
+    from gfp_grasp.bench import SearchConfig, bench_search
+    from gfp_grasp.drawing import write_front
+
+    config = SearchConfig(steps=steps, limit=limit, seed=seed, trials=trials)
+    report = bench_search(config=config, runs=runs, workers=workers, report=err.print)
+    found, paper = report["trials"], report["paper"]
+    rows = [*report["front"], {**paper, "name": f"the paper's: {paper['name']}"}]
+    cells = [(row["name"], f"{row['ms']:.2f}", f"{row['cd_mm']:.2f}", str(row["parameters"])) for row in rows]
+    table(
+        ("encoder, decoder, iterations m", "ms", "CD, mm", "parameters"), cells, title=f"front of {len(found)} networks"
+    )
+    if picture is not None:
+        title = f"Networks of the paper's kind after {steps} steps of {config.batch} patches"
+        write_front(found, report["front"], paper, picture, title=title)
+    save_json(json_file, report)
