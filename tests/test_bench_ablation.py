@@ -38,21 +38,21 @@ def patches(count: int, unit_m: float = 0.02):
 
 def test_the_distance_of_predicted_sets_is_taken_both_ways_in_the_patches_own_units_after_each_iteration():
     network = Shifting()
-    source, template, target, unit_m = patches(600)
+    source, template, target, unit_m = patches(40)
     unit_m[::2] = 0.04
     found = chamfers_mm(network, (source, template, target, unit_m), 3)
     assert found == pytest.approx([2 * 0.1 * m * 0.03 * 1000 for m in (1, 2, 3)], abs=2e-4)
-    assert network.asked == [(256, 1), (256, 1), (88, 1)] * 3
+    assert network.asked == [(16, 1), (16, 1), (8, 1)] * 3
 
 
 def test_sets_that_are_looped_back_by_hand_are_those_of_the_network():
     torch.manual_seed(0)
     network = PaperNet((8, 16), hidden=(16, 8)).eval()
-    source, template, target = (torch.randn(300, 64, 3) for _ in range(3))
+    source, template, target = (torch.randn(40, 64, 3) for _ in range(3))
     with torch.inference_mode():
         pairwise = torch.cdist(network(source, template, iterations=3), target)
     expected = float((pairwise.amin(dim=2).mean(dim=1) + pairwise.amin(dim=1).mean(dim=1)).mean()) * 1000
-    assert chamfers_mm(network, (source, template, target, torch.ones(300)), 3)[2] == pytest.approx(expected, rel=1e-5)
+    assert chamfers_mm(network, (source, template, target, torch.ones(40)), 3)[2] == pytest.approx(expected, rel=1e-5)
 
 
 @pytest.mark.parametrize(("noise_m", "deviation"), [(0.0, 0.0), (0.01, 0.5)])

@@ -56,7 +56,7 @@ _ASKED_A_TRIAL = 20  # networks that were measured before come up again, the mor
 
 @dataclass(frozen=True)
 class SearchConfig(Budget):
-    """Budget of each network, and how many there are; as it is, some forty minutes of one core.
+    """Budget of each network, and how many there are; as it is, some forty minutes of one quiet core.
 
     Attributes:
         steps: Number of optimiser steps.
