@@ -42,7 +42,7 @@ class AblationConfig(Budget):
     Attributes:
         steps: Number of optimiser steps.
         batch: Number of patches a step.
-        limit: Number of shapes of a family that patches come from.
+        limit: Number of shapes of a class that patches come from.
         views: Number of views of each shape.
         seed: Seed of every network and of the order of its batches.
         noise_m: Standard deviation of the noise in the noisy row, m.

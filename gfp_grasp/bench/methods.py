@@ -206,7 +206,7 @@ def run_method(
         return Answer(_SIMPLE[name](view))
     if name in PEER_COMPLETERS:
         return _answer_of_peer(name, view)
-    config, tell = config_of(name.replace(_BOUND, ""), view, given, library=library)
+    config, tell = config_of(name, view, given, library=library)
     done = complete_to_mesh(
         view.cloud.points,
         viewpoint=view.cloud.viewpoint,
@@ -256,7 +256,7 @@ def config_of(
     library = library or PrimitiveLibrary.shipped()
     if name in _OWN:
         return replace(_OWN[name], library=library), False
-    base = name.removesuffix("-sized")
+    base = name.removesuffix("-sized").removesuffix(_BOUND)
     rigid, method = _PAPER[base]
     fit = rigid()
     if name.endswith("-sized"):

@@ -61,7 +61,7 @@ class SearchConfig(Budget):
     Attributes:
         steps: Number of optimiser steps.
         batch: Number of patches a step.
-        limit: Number of shapes of a family that patches come from.
+        limit: Number of shapes of a class that patches come from.
         views: Number of views of each shape.
         seed: Seed of the search, of every network and of the order of its batches.
         trials: Number of networks, no two of them alike; fewer are measured where the search finds no more.

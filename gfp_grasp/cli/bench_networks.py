@@ -8,7 +8,7 @@ import typer
 from gfp_grasp.cli.bench import bench
 from gfp_grasp.cli.terminal import JsonFile, Seed, Workers, err, save_json, table
 
-_LimitOfFamily = Annotated[int, typer.Option("--limit", min=1, help="Shapes of each family.")]
+_LimitOfClass = Annotated[int, typer.Option("--limit", min=1, help="Shapes of each class.")]
 _Steps = Annotated[int, typer.Option(min=1, help="Steps of each network.")]
 _Runs = Annotated[Path, typer.Option(help="Folder of caches and of finished networks.")]
 
@@ -16,7 +16,7 @@ _Runs = Annotated[Path, typer.Option(help="Folder of caches and of finished netw
 @bench.command()
 def ablation(
     steps: _Steps = 2000,
-    limit: _LimitOfFamily = 60,
+    limit: _LimitOfClass = 80,
     runs: _Runs = Path("runs"),
     workers: Workers = 1,
     json_file: JsonFile = None,
@@ -46,7 +46,7 @@ def ablation(
 def search(
     trials: Annotated[int, typer.Option(min=1, help="Networks to measure.")] = 40,
     steps: _Steps = 400,
-    limit: _LimitOfFamily = 60,
+    limit: _LimitOfClass = 80,
     runs: _Runs = Path("runs"),
     workers: Workers = 1,
     json_file: JsonFile = None,
