@@ -19,8 +19,8 @@ from gfp_grasp.errors import GfpGraspError
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.register import FitConfig, icp_config, pcrnet_config, size_of_extents
 from gfp_grasp.train import across_edge
-from gfp_grasp.transforms import make_T, rotation_about
-from gfp_grasp.types import DepthImage, PointCloud
+from gfp_grasp.transforms import apply_T, make_T, rotation_about
+from gfp_grasp.types import LIDAR, DepthImage, FittedPrimitive, PointCloud
 
 VIEWPOINT = np.array([0.3, 0.4, 0.5])
 LAPS = ("quick", "middle", "thorough")
@@ -245,12 +245,42 @@ def test_a_row_of_the_package_differs_from_the_default_by_what_it_is_named_after
 
 
 def test_methods_come_in_the_order_of_the_table():
-    told = [n + sized for n in ("icp", "pcrnet", "pcrnet-gfs", *PATCHED) for sized in ("", "-sized")]
+    rigid = ("icp", "pcrnet", "pcrnet-gfs", *PATCHED, "pcrnet-bound")
+    told = [n + sized for n in rigid for sized in ("", "-sized")]
     assert ("truth", "partial", "observed", "mirror", "classfree", *(f"told-{name}" for name in told), *OWN) == METHODS
     assert list(SWITCHES) == list(OWN)[12:]
     own = ("told-icp", "registration", "gfs", "gfpnet-paper-5", "gfpnet")
     assert ("truth", "partial", "observed", "mirror", "classfree", *own) == BRIEF
     assert {"registration", "gfs", "gfpnet-oneshot", "gfpnet"} <= set(CONFIGS)
+
+
+def test_the_bound_draws_what_was_observed_onto_the_true_surface_and_leaves_what_is_far_from_it(monkeypatch):
+    primitive = PrimitiveLibrary.shipped().primitive("car")
+    T = make_T(rotation_about((0, 0, 1), 0.4), (1.0, 2.0, 0.5))
+    fit = FittedPrimitive(primitive, T, np.ones(3), np.zeros(len(primitive.modes)), 0.0)
+    own = primitive.vertices
+    true = trimesh.Trimesh(apply_T(T, own * [1.05, 1.08, 1.1]), primitive.faces, process=False)
+    front = true.vertices[own[:, 0] > 0.5]
+    view = ObjectView(true, T, PointCloud(front, np.array([9.0, 0, 1])), sensor=LIDAR)
+    asked = []
+
+    def complete(points, **how):
+        asked.append(how["config"].fit)
+        return SimpleNamespace(fit=fit, mesh=None)
+
+    monkeypatch.setattr(methods, "complete_to_mesh", complete)
+    answer = run_method("told-pcrnet-bound-sized", view, None, "car")
+    assert asked == [standing(size=size_of_extents(primitive, methods.extents_of(view)))]
+    assert answer.completion is None
+    moved = apply_T(np.linalg.inv(T), np.asarray(answer.surface.vertices))
+    before = np.abs(trimesh.proximity.signed_distance(true, apply_T(T, own[own[:, 0] > 1.2]))).mean()
+    after = np.abs(trimesh.proximity.signed_distance(true, apply_T(T, moved[own[:, 0] > 1.2]))).mean()
+    assert after < 0.1 * before
+    assert before > 0.05
+    # The rest follows its neighbours: the rear is not drawn onto its own true place.
+    rear = own[:, 0] < -1.8
+    missed = np.abs(trimesh.proximity.signed_distance(true, apply_T(T, moved[rear]))).mean()
+    assert missed > 3 * after
 
 
 PATCHED = ("pcrnet-gfpnet-oneshot", "pcrnet-gfpnet-paper")
