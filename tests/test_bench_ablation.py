@@ -103,10 +103,13 @@ def test_a_network_is_trained_by_the_common_loop_and_its_patches_are_drawn_anew_
     monkeypatch.setattr(paper_nets, "train", train)
     network, checkpoint = Architecture((8, 16)).make(3), tmp_path / "a.pt"
     budget = Budget(steps=7, batch=5, seed=3)
-    found = train_paper_net(network, patches(20), budget, checkpoint=checkpoint, noise_m=0.01, until=4)
+    found = train_paper_net(
+        network, patches(20), budget, checkpoint=checkpoint, noise_m=0.01, reading="CD to T", until=4
+    )
     assert found == (network, 0.5)
     loop = LoopConfig(steps=7, batch=5, rate=1e-3, seed=3, checkpoint_s=30.0)
-    assert (made["loss"], made["config"]) == (looped_loss, loop)
+    assert (made["loss"].func, made["loss"].keywords) == (looped_loss, {"reading": "CD to T"})
+    assert made["config"] == loop
     assert (made["checkpoint"], made["until"]) == (checkpoint, 4)
     assert len(made["batch"][0]) == 5
     assert 0.3 < float((made["batch"][1] - patches(5)[1]).std()) < 0.7
@@ -126,6 +129,8 @@ NAMES = [
     *("32-512", "32-64-512", "32-64-256-512", "32-64-128-256-512"),
     *("64-1024", "64-128-1024", "64-128-512-1024", "64-128-256-512-1024"),
     "64-128-1024, 0.02 m noise",
+    "64-128-1024, CD to T",
+    "64-128-1024, eq. 3 as printed",
 ]
 
 
@@ -138,8 +143,8 @@ def trained(monkeypatch) -> dict[str, list]:
         asked["nets"].append((architecture, seed))
         return Shifting()
 
-    def train(network, training, budget, *, checkpoint, noise_m, until):
-        asked["runs"].append((checkpoint.name, noise_m, until))
+    def train(network, training, budget, *, checkpoint, noise_m, reading, until):
+        asked["runs"].append((checkpoint.name, noise_m, reading, until))
         checkpoint.parent.mkdir(parents=True, exist_ok=True)
         checkpoint.touch()
         return network, 0.123456
@@ -168,8 +173,12 @@ def test_every_row_is_trained_alike_and_measured_at_each_third_and_each_number_o
     assert report["settings"] == {**asdict(CONFIG), "iterations": [1, 2, 3, 4, 5, 6, 7]}
     assert trained["patches"] == [(CONFIG, tmp_path, 6)]
     assert trained["nets"] == [(Architecture(tuple(report["rows"][name]["widths"]), 7), 3) for name in NAMES]
-    assert trained["runs"][:3] == [("16-256.pt", 0.0, until) for until in (2, 4, 7)]
-    assert trained["runs"][-1] == ("64-128-1024_0.02_m_noise.pt", 0.02, 7)
+    assert trained["runs"][:3] == [("16-256.pt", 0.0, "as taken", until) for until in (2, 4, 7)]
+    assert trained["runs"][38::3] == [
+        ("64-128-1024_0.02_m_noise.pt", 0.02, "as taken", 7),
+        ("64-128-1024_CD_to_T.pt", 0.0, "CD to T", 7),
+        ("64-128-1024_eq._3_as_printed.pt", 0.0, "eq. 3 as printed", 7),
+    ]
     folder = tmp_path / "ablation" / "7_5_4_2_3"
     assert json.loads((folder / "32-512.json").read_text()) == report["rows"]["32-512"]
     assert not list(folder.glob("*.pt"))
@@ -185,7 +194,7 @@ def test_a_row_that_is_finished_is_read_back_and_one_that_was_stopped_goes_on_wh
     begun: list[str] = []
     again = bench_ablation(config=CONFIG, runs=tmp_path, report=begun.append)
     assert begun == ["16-256", "32-512"]
-    assert [until for name, _, until in trained["runs"] if name == "32-512.pt"] == [7]
+    assert [until for name, *_, until in trained["runs"] if name == "32-512.pt"] == [7]
     assert again["rows"].pop("32-512")["thirds_mm"][:2] == [30.5, 20.25]
     whole["rows"].pop("32-512")
     assert again == whole
@@ -197,7 +206,7 @@ def test_a_network_goes_on_from_third_to_third(tmp_path, monkeypatch):
     generator = torch.Generator().manual_seed(0)
     sets = (*(torch.randn(40, 64, 3, generator=generator) for _ in range(3)), torch.full((40,), 0.05))
     monkeypatch.setattr(paper_nets, "paper_patches", lambda *_, **__: (sets, {}))
-    monkeypatch.setattr(ablation, "_plan", lambda noise_m: [("8-16", (8, 16), 0.0)])
+    monkeypatch.setattr(ablation, "_plan", lambda noise_m: {"8-16": ablation._Kind((8, 16))})
     report = bench_ablation(config=AblationConfig(steps=6, batch=8, limit=1, views=1), runs=tmp_path)
     (row,) = report["rows"].values()
     assert len(row["cd_mm"]) == 7

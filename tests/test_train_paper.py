@@ -55,6 +55,12 @@ def test_the_loss_weighs_distance_and_laplacian() -> None:
     # All points far off by the same way: both directions of the Chamfer distance, and the same Laplacian.
     assert paper_loss(_Moves(torch.tensor([300.0, 400.0, 0.0])), batch).item() == pytest.approx(0.7 * 2 * 500, rel=0.01)
     assert_known("paper loss", [paper_loss(_Moves(0.3 * torch.sin(7 * source)), batch).item()])
+    # Other readings: the way to T, and the mean place of the neighbours, which is that of all of three points.
+    still = (source, source + torch.tensor([300.0, 400.0, 0.0]), source, torch.ones(2))
+    assert paper_loss(_Moves(torch.zeros(3)), still, reading="CD to T").item() == pytest.approx(700, rel=0.01)
+    line = torch.tensor([[[1.0 + 9 * n, 0, 0] for n in range(9)]])
+    printed = paper_loss(_Moves(torch.zeros(3)), (line, line, line, torch.ones(1)), reading="eq. 3 as printed")
+    assert printed.item() == pytest.approx(0.3 * 37, rel=1e-4)  # of nine points each has the other eight around it
     near = torch.tensor([[[1, 2], [0, 2], [0, 1]]])
     points = torch.tensor([[[0.0, 0, 0], [2, 0, 0], [0, 4, 0]]])
     assert _lap(points, near)[0].tolist() == [[-1, -2, 0], [2, -2, 0], [-1, 4, 0]]

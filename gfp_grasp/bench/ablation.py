@@ -1,7 +1,8 @@
 """The paper's ablation: `gfp-grasp bench ablation`.
 
 Encoders of two to five layers, at the paper's widths, at half and at a quarter of them, are trained alike, and each is
-asked with one to seven iterations; the paper's augmenting noise of 0.01 m is a row of its own. A row says what its
+asked with one to seven iterations; the paper's augmenting noise of 0.01 m and other readings of its loss are rows of
+their own. A row says what its
 network came to at a third and at two thirds of its steps, too: where these differ little, more steps would not change
 much. The decoder is the paper's in every row.
 """
@@ -28,6 +29,7 @@ from gfp_grasp.bench.paper_nets import (
 )
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.journal import write_whole
+from gfp_grasp.train import Reading
 
 WIDTHS = ((64, 1024), (64, 128, 1024), (64, 128, 512, 1024), (64, 128, 256, 512, 1024))  # the middle two: the paper's
 DIVISORS = (4, 2, 1)
@@ -37,7 +39,7 @@ _SPANS = 3
 
 @dataclass(frozen=True)
 class AblationConfig(Budget):
-    """Budget of each of thirteen networks, and the noise of one; as it is, about an hour of one quiet core.
+    """Budget of each of fifteen networks, and the noise of one; as it is, about an hour of one quiet core.
 
     Attributes:
         steps: Number of optimiser steps.
@@ -73,29 +75,43 @@ def bench_ablation(
         report: Called with the name of each row before it is made.
 
     Returns:
-        {"settings", "rows": {name: {"widths", "noise_m", "parameters", "cd_mm": [of each of ITERATIONS], "thirds_mm":
-        [after each third of the steps, of the paper's iterations], "hours"}}}, the Chamfer distance of predicted sets
+        {"settings", "rows": {name: {"widths", "noise_m", "reading", "parameters", "cd_mm": [of each of
+        ITERATIONS], "thirds_mm": [after each third of the steps, of the paper's iterations], "hours"}}}, the Chamfer distance of predicted sets
         to their labels, on patches of the validation split.
     """
     folder = config.folder(runs, "ablation")
     patches = cache(lambda: read_patches(config, runs=runs, workers=workers))
     rows = {}
-    for name, widths, noise_m in _plan(config.noise_m):
+    for name, kind in _plan(config.noise_m).items():
         path = folder / f"{name.replace(', ', '_').replace(' ', '_')}.json"
         row = _begun(path)
         if "hours" not in row:
             if report is not None:
                 report(name)
-            row = _row(widths, noise_m, row["thirds_mm"], patches(), config, path)
+            row = _row(kind, row["thirds_mm"], patches(), config, path)
         rows[name] = row
     return {"settings": {**asdict(config), "iterations": list(ITERATIONS)}, "rows": rows}
 
 
-def _plan(noise_m: float) -> list[tuple[str, tuple[int, ...], float]]:
-    """Name, widths and noise of every row, from the smallest network to the largest."""
+@dataclass(frozen=True)
+class _Kind:
+    """What a row is of: widths, noise on T in metres, and how the loss is read."""
+
+    widths: tuple[int, ...]
+    noise_m: float = 0.0
+    reading: Reading = "as taken"
+
+
+def _plan(noise_m: float) -> dict[str, _Kind]:
+    """Every row by name: from the smallest network to the largest, and then what else may be done with the paper's."""
     scaled = [tuple(width // divisor for width in widths) for divisor in DIVISORS for widths in WIDTHS]
-    plain = [(joined(widths), widths, 0.0) for widths in scaled]
-    return [*plain, (f"{joined(PAPER.widths)}, {noise_m:g} m noise", PAPER.widths, noise_m)]
+    own = joined(PAPER.widths)
+    return {
+        **{joined(widths): _Kind(widths) for widths in scaled},
+        f"{own}, {noise_m:g} m noise": _Kind(PAPER.widths, noise_m=noise_m),
+        f"{own}, CD to T": _Kind(PAPER.widths, reading="CD to T"),
+        f"{own}, eq. 3 as printed": _Kind(PAPER.widths, reading="eq. 3 as printed"),
+    }
 
 
 def _begun(path: Path) -> dict[str, Any]:
@@ -103,28 +119,27 @@ def _begun(path: Path) -> dict[str, Any]:
     return json.loads(path.read_text()) if path.is_file() else {"thirds_mm": []}
 
 
-def _row(
-    widths: tuple[int, ...],
-    noise_m: float,
-    thirds_mm: list[float],
-    patches: PatchSets,
-    config: AblationConfig,
-    path: Path,
-) -> dict[str, Any]:
+def _row(kind: _Kind, thirds_mm: list[float], patches: PatchSets, config: AblationConfig, path: Path) -> dict[str, Any]:
     """Train and measure one row from the third of its steps where an earlier run left it."""
-    network = Architecture(widths, max(ITERATIONS)).make(config.seed)
+    network = Architecture(kind.widths, max(ITERATIONS)).make(config.seed)
     checkpoint = path.with_suffix(".pt")
     row: dict[str, Any] = {"thirds_mm": thirds_mm}
     for span in range(len(thirds_mm) + 1, _SPANS + 1):
         until = config.steps * span // _SPANS
         trained, hours = train_paper_net(
-            network, patches.training, config, checkpoint=checkpoint, noise_m=noise_m, until=until
+            network,
+            patches.training,
+            config,
+            checkpoint=checkpoint,
+            noise_m=kind.noise_m,
+            reading=kind.reading,
+            until=until,
         )
         cd_mm = chamfers_mm(trained, patches.held_out, max(ITERATIONS) if span == _SPANS else PAPER.iterations)
         row["thirds_mm"] = [*row["thirds_mm"], cd_mm[PAPER.iterations - 1]]
         if span == _SPANS:
             parameters = num_parameters(trained)
-            row |= {"widths": widths, "noise_m": noise_m, "parameters": parameters, "cd_mm": cd_mm}
+            row |= {**asdict(kind), "parameters": parameters, "cd_mm": cd_mm}
             row["hours"] = round(hours, 4)
         write_whole(path, json.dumps(row))
     checkpoint.unlink()

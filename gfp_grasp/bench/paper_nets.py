@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass, fields
+from functools import partial
 from pathlib import Path
 from typing import NamedTuple
 
@@ -13,7 +14,7 @@ from torch import nn
 from gfp_grasp.deform import NUM_PATCHES, NUM_SOURCE, NUM_TEMPLATE, PaperNet
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.parallel import one_thread
-from gfp_grasp.train import Batch, LoopConfig, looped_loss, paper_patches, shuffled, train
+from gfp_grasp.train import Batch, LoopConfig, Reading, looped_loss, paper_patches, shuffled, train
 
 _MEASURED = 2048  # patches of the validation split
 _CHUNK = 16  # patches whose layers fit into the cache: of 256 at once, a fourth of the time went to the system
@@ -105,6 +106,7 @@ def train_paper_net(
     *,
     checkpoint: Path,
     noise_m: float = 0.0,
+    reading: Reading = "as taken",
     until: int | None = None,
 ) -> tuple[PaperNet, float]:
     """Train one network, for each number of its iterations at once.
@@ -115,6 +117,7 @@ def train_paper_net(
         budget: Steps, batch and seed; the rate is ten times the paper's, as steps are few.
         checkpoint: File that holds the state between runs.
         noise_m: Standard deviation of noise on T, m.
+        reading: Of the loss, as `paper_loss` takes it.
         until: Step after which to stop for now; None is the whole budget.
 
     Returns:
@@ -123,7 +126,7 @@ def train_paper_net(
     return train(
         network,
         _noisy(shuffled(training, budget.batch), noise_m),
-        looped_loss,
+        partial(looped_loss, reading=reading),
         config=LoopConfig(steps=budget.steps, batch=budget.batch, rate=1e-3, seed=budget.seed, checkpoint_s=30.0),
         checkpoint=checkpoint,
         until=until,

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
+from typing import Literal
 
 import torch
 from torch import Tensor, nn
@@ -28,6 +29,8 @@ _NEIGHBOURS = 8
 _CURVE_PATCHES = 512  # that each point of a learning curve is measured on
 _MEMBERS = 80  # of each class
 
+# How two open ends of the paper's loss are read; the first is ours.
+Reading = Literal["as taken", "CD to T", "eq. 3 as printed"]
 # The paper's optimiser and batch; steps and rate are ours.
 PAPER_CONFIGS: dict[Variant, LoopConfig] = {
     "paper-iterative": LoopConfig(steps=6000, batch=256, rate=1e-3, decay=0.7),
@@ -35,17 +38,26 @@ PAPER_CONFIGS: dict[Variant, LoopConfig] = {
 }
 
 
-def paper_loss(network: Callable[[Tensor, Tensor], Tensor], batch: Batch) -> Tensor:
+def paper_loss(network: Callable[[Tensor, Tensor], Tensor], batch: Batch, *, reading: Reading = "as taken") -> Tensor:
     """The paper's eq. 1: 0.7 times the Chamfer distance to the label and 0.3 times the Laplacian's.
 
     Its eq. 3 as printed, the mean position of the neighbours, has no useful minimum; the Laplacian here is the
     distance of each point to the mean of its neighbours on S, less the label's own.
+
+    Args:
+        network: Answers S and T with MS.
+        batch: S, T, label (b, n, 3) and unit (b,).
+        reading: "as taken"; "CD to T", the Chamfer distance to what was observed in place of the label; or "eq. 3 as
+            printed".
     """
     source, template, target, _ = batch
     moved = network(source, template).float()
-    chamfer = _chamfer(moved, target).mean()
+    chamfer = _chamfer(moved, template if reading == "CD to T" else target).mean()
     near = torch.cdist(source, source).topk(_NEIGHBOURS + 1, largest=False).indices[..., 1:]
-    laplacian = (_lap(moved, near).norm(dim=-1) - _lap(target, near).norm(dim=-1)).abs().mean()
+    if reading == "eq. 3 as printed":
+        laplacian = (moved - _lap(moved, near)).norm(dim=-1).mean()
+    else:
+        laplacian = (_lap(moved, near).norm(dim=-1) - _lap(target, near).norm(dim=-1)).abs().mean()
     return _CHAMFER_SHARE * chamfer + (1 - _CHAMFER_SHARE) * laplacian
 
 
@@ -55,9 +67,9 @@ def _lap(points: Tensor, near: Tensor) -> Tensor:
     return points - around.mean(dim=2)
 
 
-def looped_loss(network: PaperNet, batch: Batch) -> Tensor:
+def looped_loss(network: PaperNet, batch: Batch, *, reading: Reading = "as taken") -> Tensor:
     """The loss `paper_loss` of `looped_back`: a network learns each number of its iterations for the price of one."""
-    return paper_loss(partial(looped_back, network), batch)
+    return paper_loss(partial(looped_back, network), batch, reading=reading)
 
 
 def looped_back(network: PaperNet, source: Tensor, template: Tensor) -> Tensor:
