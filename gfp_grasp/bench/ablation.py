@@ -75,9 +75,9 @@ def bench_ablation(
         report: Called with the name of each row before it is made.
 
     Returns:
-        {"settings", "rows": {name: {"widths", "noise_m", "reading", "parameters", "cd_mm": [of each of
-        ITERATIONS], "thirds_mm": [after each third of the steps, of the paper's iterations], "hours"}}}, the Chamfer distance of predicted sets
-        to their labels, on patches of the validation split.
+        {"settings", "rows": {name: {"widths", "noise_m", "reading", "parameters", "cd_mm": [of each of ITERATIONS],
+        "thirds_mm": [after each third of the steps, of the paper's iterations], "hours"}}}, the Chamfer distance of
+        predicted sets to their labels, on patches of the validation split.
     """
     folder = config.folder(runs, "ablation")
     patches = cache(lambda: read_patches(config, runs=runs, workers=workers))
