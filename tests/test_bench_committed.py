@@ -154,7 +154,7 @@ def test_the_ablation_was_made_with_the_defaults_and_has_every_row():
 def test_real_objects_were_completed_with_the_defaults_but_for_the_protocol(protocol: str):
     settings = committed("completion_real" + f"_{protocol}" * (protocol != "standard"))["settings"]
     of_config = asdict(replace(CompletionConfig(), protocol=protocol))
-    assert of_config.pop("gps") == ""
+    assert (of_config.pop("gps"), of_config.pop("hidden_share")) == ("", 0.5)
     assert settings == {"objects": settings["objects"], "samples": 8192, **of_config}
 
 

@@ -216,7 +216,7 @@ def test_views_samples_and_errors_are_drawn_from_seed_view_object_and_method(fol
     names = [(name, view) for name in "ca" for view in (0, 1)]
     seeds = [[5, view, int.from_bytes(hashlib.sha256(name.encode()).digest()[:4], "little")] for name, view in names]
     draws = [np.random.default_rng(seed).uniform(size=2).tolist() for seed in seeds]
-    how = {"protocol": "noisy", "noise_m": 0.002}
+    how = {"protocol": "noisy", "noise_m": 0.002, "hidden_share": 0.5}
     heights = (0.1, 0.1, 0.05, 0.05)
     assert asked["views"] == [(h, first, how) for h, (first, _) in zip(heights, draws, strict=True)]
     assert asked["sampled"] == [(8192, second) for _, second in draws]
@@ -262,8 +262,8 @@ def test_the_folders_of_ones_own_primitives_are_named_in_the_settings(folder, as
     monkeypatch.setattr(completion, "PrimitiveLibrary", fake)
     report = bench_completion(str(folder), methods=("gfs",), config=CompletionConfig(views=1, gps="mine"))
     assert report["settings"]["gps"] == ["mine"]
-    assert report["settings"]["objects"] == ["a", "b"]
-    assert options == ["mine"] * 3
+    assert report["settings"]["objects"] == ["a", "b", "plain"]
+    assert options == ["mine"] * 4
     assert all(library_of is library for *_, library_of in asked["methods"])
 
 

@@ -8,8 +8,9 @@ import pytest
 import trimesh
 
 from gfp_grasp.bench import KittiConfig, bench_kitti, kitti
-from gfp_grasp.errors import InvalidOption, TooFewPoints
+from gfp_grasp.errors import InvalidOption, NotTrained, TooFewPoints
 from gfp_grasp.transforms import apply_T, make_T, rotation_about
+from gfp_grasp.types import CompletedShape
 
 SIZE = np.array([4.0, 1.6, 1.5])
 PLACES = [(9.0, 2.0, -0.9, 0.3), (10.0, 2.5, -0.9, 0.4)]  # of the middle, and yaw
@@ -99,6 +100,36 @@ def test_what_is_refused_is_counted_and_told(tree: Path, monkeypatch: pytest.Mon
 def test_the_paper_s_rows_are_told_the_class(tree: Path, completed: list[SimpleNamespace]):
     bench_kitti(tree, config=KittiConfig(rows=("told-pcrnet-gfs",)))
     assert [call.category for call in completed] == ["van", "car", "car"]
+
+
+@pytest.mark.parametrize("row", ["pcn", "pcn-true-box"])
+def test_a_peer_is_told_the_label_s_box_if_that_is_its_way(tree: Path, row: str, monkeypatch: pytest.MonkeyPatch):
+    """What it is told it fills; what it is not it gives a box of its own that is twice as long."""
+    asked = []
+
+    def complete(detection, name, *, box=None):
+        asked.append((detection, name, box))
+        mesh = trimesh.creation.box(SIZE * (2, 1, 1) if box is None else box.extents)
+        place = next(T_of(p) for p in PLACES if np.linalg.norm(detection.cloud.points - p[:3], axis=1).min() < 0.81)
+        mesh.apply_transform(place if box is None else box.T_world_box)
+        return CompletedShape(mesh, np.zeros(8, dtype=bool), np.full(8, 0.1))
+
+    monkeypatch.setattr("gfp_grasp.peers.complete_by_peer", complete, raising=False)
+    monkeypatch.setattr("gfp_grasp.completers.registry.check_trained", lambda name, true_box: None)
+    found = bench_kitti(tree, config=KittiConfig(rows=(row,)))["rows"][row]
+    assert (found["things"], found["refused"]) == (3, 0)
+    assert found["size_error"] == pytest.approx(0.0 if row == "pcn-true-box" else 1 / 3, abs=1e-3)
+    assert "class_right" not in found  # it says none
+    assert found["fidelity_m"] > 0.4
+    for detection, name, box in asked:
+        assert (name, detection.category, box is None) == ("pcn", "", row == "pcn")
+        np.testing.assert_array_equal(detection.cloud.viewpoint, np.zeros(3))
+
+
+def test_a_peer_without_weights_is_refused_before_anything_is_completed(tree: Path, monkeypatch: pytest.MonkeyPatch):
+    monkeypatch.setattr("gfp_grasp.peers.catalogue.data_dir", lambda name: tree)
+    with pytest.raises(NotTrained, match="gfp-grasp train peer pcn"):
+        bench_kitti(tree, config=KittiConfig(rows=("partial", "pcn")))
 
 
 def test_whole_shapes_of_a_folder_are_matched_with(tree: Path, completed: list[SimpleNamespace], tmp_path: Path):

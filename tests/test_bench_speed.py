@@ -10,8 +10,8 @@ from bodies import l_shape
 from clocks import SteadyClock
 from scipy.spatial import KDTree
 
-from gfp_grasp.bench import bench_resets, bench_speed, bench_stability, speed
-from gfp_grasp.bench.speed import resident_mb
+from gfp_grasp.bench import bench_resets, bench_speed, bench_stability, memory, speed
+from gfp_grasp.bench.memory import peak_mb, resident_mb
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.register import FitConfig, icp_config, pcrnet_config
 from gfp_grasp.transforms import apply_T, make_T, rotation_about
@@ -198,15 +198,21 @@ def test_memory_is_told_in_megabytes(monkeypatch, tmp_path):
     told = tmp_path / "statm"
     told.write_text("9000 2500 300 1 0 400 0\n")
     asked = []
-    monkeypatch.setattr(speed, "Path", lambda name: (asked.append(name), told)[1])
-    monkeypatch.setattr(speed.resource, "getpagesize", lambda: 4096)
+    monkeypatch.setattr(memory, "Path", lambda name: (asked.append(name), told)[1])
+    monkeypatch.setattr(memory.resource, "getpagesize", lambda: 4096)
     assert resident_mb() == 10.2
     assert asked == ["/proc/self/statm"]
     told.unlink()
-    monkeypatch.setattr(speed.resource, "getrusage", lambda who: SimpleNamespace(ru_maxrss=123_456.0))
+    monkeypatch.setattr(memory.resource, "getrusage", lambda who: SimpleNamespace(ru_maxrss=123_456.0))
     for system, expected in (("linux", 123.5), ("darwin", 0.1)):
-        monkeypatch.setattr(speed, "sys", SimpleNamespace(platform=system))
-        assert resident_mb() == expected
+        monkeypatch.setattr(memory, "sys", SimpleNamespace(platform=system))
+        assert resident_mb() == peak_mb() == expected
+
+
+def test_the_most_memory_stays_when_it_was_given_back():
+    block = np.ones(30_000_000)  # 240 MB
+    del block
+    assert peak_mb() > resident_mb() + 200
 
 
 class Env:

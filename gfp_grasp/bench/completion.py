@@ -29,6 +29,7 @@ from gfp_grasp.bench.methods import (
     Answer,
     ObjectView,
     in_sight,
+    is_told_class,
     run_method,
     view_object,
 )
@@ -40,8 +41,8 @@ from gfp_grasp.meshes import sample_surface, vertex_normals
 from gfp_grasp.metrics import chamfer_m, f_score, iou, scale_error, visible_surface
 from gfp_grasp.parallel import pmap
 from gfp_grasp.primitives import PrimitiveLibrary
-from gfp_grasp.scenes import load_objects
-from gfp_grasp.types import LIDAR, CategorySpec
+from gfp_grasp.scenes import ObjectSource, load_objects
+from gfp_grasp.types import LIDAR, UNKNOWN, CategorySpec
 
 _SAMPLES = 8192
 _NEAR_M = 0.005  # of the F-score; lengths of this and the next lines are for things on tables
@@ -63,6 +64,7 @@ class CompletionConfig:
         noise_m: Standard deviation of the depth noise, m.
         protocol: How objects stand and are seen, one of views.PROTOCOLS.
         gps: Folders of primitives of your own, as the environment's option takes them.
+        hidden_share: Share of each object's pixels that the protocol "hidden" hides.
     """
 
     views: int = 16
@@ -73,16 +75,23 @@ class CompletionConfig:
     noise_m: float = 0.001
     protocol: str = "standard"
     gps: str = ""
+    hidden_share: float = 0.5
 
     def __post_init__(self) -> None:
         if self.views < 1:
             raise InvalidOption(f"views is {self.views}; at least 1 is expected")
         if self.protocol not in PROTOCOLS:
             raise InvalidOption(f"protocol is {self.protocol!r}; one of {', '.join(PROTOCOLS)} is expected")
+        if not 0 <= self.hidden_share < 1:
+            raise InvalidOption(f"hidden_share is {self.hidden_share}; a share from 0 to below 1 is expected")
+        if self.protocol != "hidden" and self.hidden_share != CompletionConfig.hidden_share:
+            raise InvalidOption(
+                f"hidden_share is {self.hidden_share} and protocol {self.protocol!r}; only 'hidden' hides anything"
+            )
 
 
 def bench_completion(
-    objects: str,
+    objects: str | Sequence[ObjectSource],
     *,
     methods: Sequence[str] = METHODS,
     config: CompletionConfig = CompletionConfig(),
@@ -94,8 +103,9 @@ def bench_completion(
     """Measure completions of procedural families, or of a folder's meshes of classes that have a primitive.
 
     Args:
-        objects: Families with commas between, or a folder; of a folder, files whose name starts with a class
-            that has no primitive are left out.
+        objects: Families with commas between, or a folder; or sources, which the config's split and limit say nothing
+            to. Those of a class that has no primitive are left out. Things of no class make rows of `UNKNOWN` under
+            every method that is not told the class.
         methods: Some of METHODS and of `gfp_grasp.completers.PEER_COMPLETERS`.
         config: Views and noise.
         known: Report of an earlier run, whose rows are kept if its settings are the same; else all are made again.
@@ -125,12 +135,14 @@ def bench_completion(
     for name in set(methods) & set(PEER_COMPLETERS):
         get_completer(name)
     library = PrimitiveLibrary.from_option(config.gps)
-    sources = [
-        s for s in load_objects(objects, split=config.split, limit=config.limit) if s.category in library.categories
-    ]
+    if isinstance(objects, str):
+        objects = load_objects(objects, split=config.split, limit=config.limit)
+    sources = [s for s in objects if s.category in ("", *library.categories)]
     settings = {"objects": [s.name for s in sources], "samples": _SAMPLES, **asdict(config)}
     if settings.pop("gps"):
         settings["gps"] = [folder.name for folder in library.folders[1:]]
+    if config.hidden_share == CompletionConfig.hidden_share:
+        del settings["hidden_share"]  # as in reports of when there was no other
     kept: dict[tuple[str, int], list[CompletionRow]] = {}
     if known is not None and known["settings"] == settings:
         for record in known["trials"]:
@@ -143,7 +155,8 @@ def bench_completion(
     found = pmap(run, jobs, workers=workers, ray=ray, progress=progress)
     flat = [row for rows in found for row in rows]
     by_class = {
-        c: [row for row in flat if c in ("all", row.category)] for c in (*sorted({s.category for s in sources}), "all")
+        c: [row for row in flat if c in ("all", row.category)]
+        for c in (*sorted({s.category or UNKNOWN for s in sources}), "all")
     }
     rivals = [m for m in methods if m.startswith(("gfs", "gfpnet")) and UNDEFORMED in methods]
     table = {
@@ -165,12 +178,14 @@ def _rows_of_view(job, *, methods: tuple[str, ...], config: CompletionConfig) ->
     name_seed = int.from_bytes(hashlib.sha256(source.name.encode()).digest()[:4], "little")
     rng = np.random.default_rng([config.seed, number, name_seed])
     mesh = source.load_mesh(largest_m=LIDAR.largest_m) if config.protocol == "lidar" else source.load_mesh()
-    view = view_object(mesh, rng, protocol=config.protocol, noise_m=config.noise_m)
+    view = view_object(mesh, rng, protocol=config.protocol, noise_m=config.noise_m, hidden_share=config.hidden_share)
     truth = visible_surface(view.mesh, _SAMPLES, rng)
     rows = []
     for method in methods:
         if method in done:
             rows.append(done[method])
+            continue
+        if is_told_class(method) and not source.category:
             continue
         own = np.random.default_rng([config.seed, number, name_seed, zlib.crc32(method.encode())])
         start = time.perf_counter()
@@ -178,7 +193,7 @@ def _rows_of_view(job, *, methods: tuple[str, ...], config: CompletionConfig) ->
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore")
-                told = source.category if config.give_category else None
+                told = (source.category or None) if config.give_category else None
                 answer = run_method(method, view, told, source.category, library=library)
         except GfpGraspError as error:
             figures["error"] = type(error).__name__
@@ -187,10 +202,10 @@ def _rows_of_view(job, *, methods: tuple[str, ...], config: CompletionConfig) ->
         if answer is not None:
             figures = _errors(answer, view, truth, own)
             if "class_found" in figures:
-                figures["class_right"] = figures["class_found"] in _right_classes(library.spec(source.category))
-        rows.append(
-            CompletionRow(object=source.name, category=source.category, view=number, method=method, ms=ms, **figures)
-        )
+                right = _right_classes(library.spec(source.category)) if source.category else {UNKNOWN}
+                figures["class_right"] = figures["class_found"] in right
+        category = source.category or UNKNOWN
+        rows.append(CompletionRow(object=source.name, category=category, view=number, method=method, ms=ms, **figures))
     return rows
 
 

@@ -18,19 +18,20 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from gfp_grasp.bench.kitti_detection import detection_rows
-from gfp_grasp.bench.methods import UNDEFORMED, config_of
+from gfp_grasp.bench.methods import UNDEFORMED, ask_peer, config_of
 from gfp_grasp.camera import range_image
 from gfp_grasp.complete import complete_detection, complete_to_mesh
+from gfp_grasp.completers import PEER_COMPLETERS, get_completer
 from gfp_grasp.completion import Completion
 from gfp_grasp.datasets import ALIKE, Scan, TrafficBox, accumulated, read_scans, read_tracks, whole_shapes
-from gfp_grasp.detect import Road, detect_traffic, find_road
+from gfp_grasp.detect import DetectConfig, Road, detect_single, detect_traffic, find_road
 from gfp_grasp.errors import GfpGraspError, InvalidOption, NothingDetected
 from gfp_grasp.metrics import chamfer_m, visible_surface
 from gfp_grasp.parallel import Progress, pmap
 from gfp_grasp.shapes import FAMILIES, make_shape, split_seeds
 from gfp_grasp.train import street_of_kitti
 from gfp_grasp.transforms import apply_T, invert_T
-from gfp_grasp.types import LIDAR, Detection
+from gfp_grasp.types import LIDAR, Detection, OrientedBox
 
 OURS, PARTIAL, DETECTED, WHOLE = "gfpnet", "partial", "gfpnet-detected", "whole-in-box"
 PAPER = ("told-pcrnet", "told-pcrnet-gfs", "told-pcrnet-gfpnet-paper")
@@ -47,9 +48,10 @@ class KittiConfig:
     """What of a tree is measured.
 
     Attributes:
-        rows: Methods, some of ROWS. The paper's own, PAPER, are told the class; DETECTED is told no box: it completes
-            what the detector finds in the whole scans; WHOLE is told class, box and heading, and gives the whole shape
-            of the class, stretched into the box, that lies nearest to what was seen: what a completion can reach.
+        rows: Methods, some of ROWS and of `gfp_grasp.completers.PEER_COMPLETERS`, of which those that are told the true
+            box get the label's. The paper's own, PAPER, are told the class; DETECTED is told no box: it completes what
+            the detector finds in the whole scans; WHOLE is told class, box and heading, and gives the whole shape of
+            the class, stretched into the box, that lies nearest to what was seen: what a completion can reach.
         least_points: Things of fewer points are left out.
         frames: Consecutive scans of each track, about its middle.
         limit: Most scans; None reads all.
@@ -64,9 +66,9 @@ class KittiConfig:
     shapes: Path | None = None
 
     def __post_init__(self) -> None:
-        unknown = [row for row in self.rows if row not in ROWS]
-        if unknown or not self.rows:
-            raise InvalidOption(f"rows are {self.rows}; some of {', '.join(ROWS)} are expected")
+        legal = (*ROWS, *PEER_COMPLETERS)
+        if not self.rows or not set(self.rows) <= set(legal):
+            raise InvalidOption(f"rows are {self.rows}; some of {', '.join(legal)} are expected")
         if self.least_points < 10 or self.frames < 2:
             raise InvalidOption(
                 f"least_points is {self.least_points}, frames {self.frames}; at least 10 and 2 are expected"
@@ -114,17 +116,20 @@ def bench_kitti(
     What is completed stands on the road, where the scan shows it.
 
     Returns:
-        {"rows": {row: figures}}: "things", "refused", "class_right" (van for car or truck is right, too), "size_error"
-        (median of the mean error of length, width and height), "heading_deg" (median, either way round) and
-        "turned_round" (share that face backwards), "fidelity_m", "mmd_m" and "consistency_m" (medians), "input_m" (from
-        what one scan saw to the answer) and "seen_m" (from what all scans saw to it), "seconds" (median); "by_class"
-        has the same by class, "each" every one of them, with the sizes of answer and label. And "detection", as
-        `detection_rows` has it, where there are whole scans.
+        {"rows": {row: figures}}: "things", "refused", "class_right" (van for car or truck is right, too; only of rows
+        that say a class), "size_error" (median of the mean error of length, width and height), "heading_deg" (median,
+        either way round) and "turned_round" (share that face backwards), "fidelity_m", "mmd_m" and "consistency_m"
+        (medians), "input_m" (from what one scan saw to the answer) and "seen_m" (from what all scans saw to it),
+        "seconds" (median); "by_class" has the same by class, "each" every one of them, with the sizes of answer and
+        label. And "detection", as `detection_rows` has it, where there are whole scans.
 
     Raises:
         UnreadableFile: No scan in the folder.
         InvalidOption: Nothing of enough points in it.
+        NotTrained: The weights of another network do not ship; the message has the command that trains it.
     """
+    for row in set(config.rows) & set(PEER_COMPLETERS):
+        get_completer(row)
     scans = list(street_of_kitti(data, limit=config.limit)) if DETECTED in config.rows else []
     things = _things(data, config)
     if not things:
@@ -229,7 +234,9 @@ def _measured(thing: _Thing, row: str, shapes: Path | None) -> dict[str, Any]:
         mesh = done.mesh.copy()
         mesh.apply_transform(to_box)
         surface = visible_surface(mesh, _SAMPLES, np.random.default_rng(0))
-        more = {"named": done.detection.category, "made_by": done.made_by, "seconds": round(seconds, 3)}
+        more = {"made_by": done.made_by, "seconds": round(seconds, 3)}
+        if row not in PEER_COMPLETERS:
+            more["named"] = done.detection.category
         more |= {"size_m": mesh.extents.round(2).tolist(), "label_m": thing.box.size_m.round(2).tolist()}
         more["size_error"] = round(float(np.abs(mesh.extents / thing.box.size_m - 1).mean()), 4)
         if done.fit is not None:
@@ -250,6 +257,10 @@ def _completed(thing: _Thing, row: str) -> Completion:
         if thing.found is None:
             raise NothingDetected("the detector did not find it")
         return complete_detection(thing.found)
+    if row in PEER_COMPLETERS:
+        unnamed = DetectConfig(sensor=LIDAR, classify=False)
+        seen = detect_single(thing.points, viewpoint=np.zeros(3), support_height=thing.road_m, config=unnamed)
+        return ask_peer(row, seen, OrientedBox(thing.box.T_scan_box, thing.box.size_m))
     config, tell = config_of(row, given=thing.box.category)
     return complete_to_mesh(
         thing.points,
@@ -299,10 +310,10 @@ def _figures(found: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     figures: dict[str, Any] = {"things": len(found), "refused": len(found) - len(answered)}
     if not answered:
         return figures
-    right = [
-        one["named"] == one["class"] or any({one["named"], one["class"]} <= pair for pair in ALIKE) for one in answered
-    ]
-    figures["class_right"] = round(float(np.mean(right)), 4)
+    said = [{one["named"], one["class"]} for one in answered if "named" in one]
+    if said:
+        right = [len(pair) == 1 or any(pair <= alike for alike in ALIKE) for pair in said]
+        figures["class_right"] = round(float(np.mean(right)), 4)
     headings = np.array([one["heading_deg"] for one in answered if "heading_deg" in one])
     if len(headings):
         off = np.abs((headings + 180) % 360 - 180)

@@ -43,6 +43,7 @@ from gfp_grasp.types import (
     TABLETOP,
     DepthImage,
     Detection,
+    OrientedBox,
     PointCloud,
     SensorProfile,
 )
@@ -239,14 +240,21 @@ def _bound(view: ObjectView, done: Completion) -> trimesh.Trimesh:
 
 def _answer_of_peer(name: str, view: ObjectView) -> Answer:
     """Another network's answer; one that is told the true box gets that of the object as it stands."""
-    complete = get_completer(name)
-    if not isinstance(complete, InTrueBox):
-        done = complete(_detection(view))
-    else:
-        upright = view.mesh.copy()
-        upright.apply_transform(invert_T(view.T_world_object))
-        done = complete(_detection(view), true_box(upright, view.T_world_object))
+    upright = view.mesh.copy()
+    upright.apply_transform(invert_T(view.T_world_object))
+    done = ask_peer(name, _detection(view), true_box(upright, view.T_world_object))
     return Answer(done.mesh, done)
+
+
+def ask_peer(name: str, detection: Detection, box: OrientedBox) -> Completion:
+    """The completion of one of PEER_COMPLETERS, which is told the true box if that is its way."""
+    complete = get_completer(name)
+    return complete(detection, box) if isinstance(complete, InTrueBox) else complete(detection)
+
+
+def is_told_class(name: str) -> bool:
+    """Whether a method is told the true class, and so says nothing of a thing that has none."""
+    return name.removesuffix("-sized") in _PAPER
 
 
 def config_of(
@@ -268,7 +276,7 @@ def config_of(
 
 
 def _detection(view: ObjectView) -> Detection:
-    config = DetectConfig(sensor=view.sensor)
+    config = DetectConfig(sensor=view.sensor, classify=False)  # the class is nothing to any method that asks for this
     return detect_single(view.cloud.points, viewpoint=view.cloud.viewpoint, up=np.array([0, 0, 1.0]), config=config)
 
 

@@ -10,19 +10,17 @@ about up gives the moved answer.
 from __future__ import annotations
 
 import gc
-import resource
-import sys
 import time
 import warnings
 from collections.abc import Callable
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import trimesh
 from scipy.spatial import KDTree
 
+from gfp_grasp.bench.memory import resident_mb
 from gfp_grasp.bench.methods import view_object
 from gfp_grasp.complete import complete_to_mesh
 from gfp_grasp.detect import detect_single
@@ -207,15 +205,6 @@ def _of_size(cloud: PointCloud, size: int) -> PointCloud:
     share = rng.uniform(0.2, 0.8, (len(more), 1))
     between = share * points[more] + (1 - share) * points[near]
     return PointCloud(np.concatenate([points, between]), cloud.viewpoint)
-
-
-def resident_mb() -> float:
-    """Memory of this process; the most it ever had where the system does not tell the present."""
-    status = Path("/proc/self/statm")
-    if status.is_file():
-        return round(int(status.read_text().split()[1]) * resource.getpagesize() / 1e6, 1)
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return round(peak / (1e6 if sys.platform == "darwin" else 1e3), 1)
 
 
 def _seconds(call: Callable[[], object]) -> float:
