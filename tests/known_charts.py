@@ -10,6 +10,7 @@ from gfp_grasp.drawing import (
     write_curves,
     write_front,
     write_learning_curves,
+    write_peers,
 )
 from gfp_grasp.types import REASONS
 
@@ -81,6 +82,18 @@ def learning(path: Path) -> str:
     return write_learning_curves(curves, path, title="Learning <curves>").read_text(encoding="utf-8")
 
 
+def peers(path: Path) -> str:
+    """Two groups, a peer that has one way only in one of them, one without an answer, and curves that end together."""
+    names = ("partial", "pcn", "pcn-true-box", "3d-epn", "gfpnet")
+    groups = {
+        "cup": {name: {"cd_m": 0.001 * 3**i} for i, name in enumerate(names)},
+        "a & b": {"partial": {"cd_m": 0.4}, "pcn-true-box": {"cd_m": 0.02}, "3d-epn": {"cd_m": None}},
+    }
+    shares = {str(share): {name: {"cd_m": 0.01 + 0.01 * share} for name in names} for share in (0.0, 0.45, 0.9)}
+    shares["0.45"]["pcn"] = {"cd_m": None}
+    return write_peers(groups, shares, path).read_text(encoding="utf-8")
+
+
 def drawn(scratch: Path) -> dict[str, str]:
     """All charts by name; the scratch file is written over."""
     return {
@@ -91,6 +104,7 @@ def drawn(scratch: Path) -> dict[str, str]:
         "curves": curves(scratch),
         "learning": learning(scratch),
         "front": front(scratch),
+        "peers": peers(scratch),
     }
 
 

@@ -7,10 +7,10 @@ from xml.etree import ElementTree
 import known_charts
 import pytest
 
-from gfp_grasp.drawing import bracket_chart, escaped, html_page, without_paths, write_bars, write_curves
+from gfp_grasp.drawing import bracket_chart, escaped, html_page, without_paths, write_bars, write_curves, write_peers
 
 
-@pytest.mark.parametrize("name", ["success", "half_way", "reasons", "bars", "curves", "front"])
+@pytest.mark.parametrize("name", ["success", "half_way", "reasons", "bars", "curves", "front", "learning", "peers"])
 def test_chart_is_the_known_one(name: str, tmp_path: Path) -> None:
     known = (known_charts.FOLDER / f"{name}.svg").read_text(encoding="utf-8")
     assert known_charts.drawn(tmp_path / "chart.svg")[name].rstrip("\n") == known.rstrip("\n")
@@ -30,6 +30,11 @@ def test_charts_of_nothing_are_drawn_all_the_same(tmp_path: Path) -> None:
     assert 'height="74"' in none
     one = write_curves({"": {"a": [2.0]}}, tmp_path / "one.svg", title="", axis="").read_text(encoding="utf-8")
     assert 'points="60.0,193.0"' in one  # a value alone stands half way up
+    ElementTree.fromstring(write_peers({}, {}, tmp_path / "peers.svg").read_text(encoding="utf-8"))
+    empty = {"cup": {"pcn": {"cd_m": None}}}
+    drawn = write_peers(empty, {"0.0": empty["cup"]}, tmp_path / "peers.svg").read_text(encoding="utf-8")
+    assert "pcn" in drawn
+    assert "<circle" not in drawn
 
 
 def test_a_bracket_alone_leaves_no_space_between() -> None:

@@ -19,6 +19,7 @@ from gfp_grasp.drawing.gallery import draw_modes, draw_primitives
 from gfp_grasp.drawing.items import Item, gripper_mesh, items_of, joined_boxes, make_item, plan_among
 from gfp_grasp.drawing.learning import write_learning_curves
 from gfp_grasp.drawing.network_charts import write_curves, write_front
+from gfp_grasp.drawing.peers_chart import write_peers
 from gfp_grasp.drawing.pictures import (
     apart,
     every_nth,
@@ -75,4 +76,5 @@ __all__ = [
     "write_learning_curves",
     "write_margins",
     "write_operating_curve",
+    "write_peers",
 ]
