@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from gfp_grasp.bench.kitti import KittiConfig, bench_kitti
     from gfp_grasp.bench.methods import BRIEF, METHODS
     from gfp_grasp.bench.openset import bench_openset
+    from gfp_grasp.bench.peers import PeersConfig, bench_peers
     from gfp_grasp.bench.primitives import bench_primitives
     from gfp_grasp.bench.ready import ReadyConfig, bench_ready
     from gfp_grasp.bench.ready_table import check_pages, ready_cells, ready_headings, write_pages
@@ -44,7 +45,9 @@ _HOMES = {
     "bench_hostile": ("hostile", "bench_hostile"),
     "KittiConfig": ("kitti", "KittiConfig"),
     "bench_kitti": ("kitti", "bench_kitti"),
+    "PeersConfig": ("peers", "PeersConfig"),
     "bench_openset": ("openset", "bench_openset"),
+    "bench_peers": ("peers", "bench_peers"),
     "bench_primitives": ("primitives", "bench_primitives"),
     "bench_ready": ("ready", "bench_ready"),
     "bench_registration": ("registration", "bench_registration"),
@@ -68,6 +71,7 @@ __all__ = [
     "CompletionConfig",
     "HostileConfig",
     "KittiConfig",
+    "PeersConfig",
     "ReadyConfig",
     "RegistrationConfig",
     "SearchConfig",
@@ -79,6 +83,7 @@ __all__ = [
     "bench_hostile",
     "bench_kitti",
     "bench_openset",
+    "bench_peers",
     "bench_primitives",
     "bench_ready",
     "bench_registration",

@@ -72,7 +72,7 @@ def completion(
             title=str(category),
         )
     gains = [
-        (category, name, *_gain(figures))
+        (category, name, *gain_cells(figures))
         for category, methods_of in report["paired"].items()
         for name, figures in methods_of.items()
         if figures["pairs"]
@@ -270,7 +270,8 @@ def _figures(row: Mapping) -> tuple[str, ...]:
     return (*errors, text("ms", ".0f"), str(row["views"]), str(row["failed"]))
 
 
-def _gain(paired: Mapping) -> tuple[str, ...]:
+def gain_cells(paired: Mapping) -> tuple[str, ...]:
+    """A paired gain in mm, its interval, its share and the share of views won."""
     low, high = (1000 * end for end in paired["ci95_m"])
     interval = f"{low:.3f} to {high:.3f}"
     return f"{1000 * paired['gain_m']:.3f}", interval, f"{paired['gain_share']:.1%}", f"{paired['wins']:.0%}"

@@ -32,9 +32,7 @@ def kitti(
     if rows:
         config = replace(config, rows=tuple(rows.split(",")))
     report = bench_kitti(data, config=config, workers=workers, progress=track("things"))
-    headings = ("method", "things", "refused", "class right", "size", "fidelity, m", "MMD, m", "consistency, m", "s")
-    names = ("things", "refused", "class_right", "size_error", "fidelity_m", "mmd_m", "consistency_m", "seconds")
-    table(headings, [(name, *(str(row.get(key, "-")) for key in names)) for name, row in report["rows"].items()])
+    kitti_table(report["rows"])
     cells = [
         (name, title, *(str(row.get(key, "-")) for key in ("things", "recall_0.5", "precision_0.5", "recall_0.7")))
         for name, ranges in report.get("detection", {}).items()
@@ -72,7 +70,7 @@ def study(
                 method,
                 f"{figures['successes']}/{figures['attempts']}",
                 f"{figures['margin']:.2f} ({figures['margin_ci95'][0]:.2f} to {figures['margin_ci95'][1]:.2f})",
-                *(_margin_gain(found["paired"][method].get(other)) for other in rivals),
+                *(margin_gain(found["paired"][method].get(other)) for other in rivals),
                 ", ".join(f"{reason} {count}" for reason, count in found["broken_promises"][method].items()) or "-",
             )
             for method, figures in found["completers"].items()
@@ -84,7 +82,15 @@ def study(
     save_json(json_file, report)
 
 
-def _margin_gain(pair: Mapping | None) -> str:
+def kitti_table(rows: Mapping[str, Mapping]) -> None:
+    """Print what is completed of KITTI's scans."""
+    headings = ("method", "things", "refused", "class right", "size", "fidelity, m", "MMD, m", "consistency, m", "s")
+    names = ("things", "refused", "class_right", "size_error", "fidelity_m", "mmd_m", "consistency_m", "seconds")
+    table(headings, [(name, *(str(row.get(key, "-")) for key in names)) for name, row in rows.items()])
+
+
+def margin_gain(pair: Mapping | None) -> str:
+    """A pair's difference in margin with its interval; a dash for a method beside itself."""
     if pair is None:
         return "-"
     return f"{pair['margin']:+.2f} ({pair['margin_ci95'][0]:+.2f} to {pair['margin_ci95'][1]:+.2f})"

@@ -9,7 +9,7 @@ from typing import cast
 import typer
 from threadpoolctl import threadpool_limits
 
-from gfp_grasp.cli.bench_files import bench  # which adds its commands to those of the others
+from gfp_grasp.cli.bench_peers import bench  # which adds its commands to those of the others
 from gfp_grasp.cli.complete import check, complete, demo, view
 from gfp_grasp.cli.meshing import decompose
 from gfp_grasp.cli.primitives import gps

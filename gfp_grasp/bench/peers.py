@@ -1,0 +1,313 @@
+"""The comparison with other completion networks: `gfp-grasp bench peers`.
+
+The paper compares by class and does not say what was hidden. Here each class of its table is measured, all household
+classes and things of no class, and how the distance grows with what is hidden; beside these what an answer costs, what
+it is worth to a gripper, and KITTI. Every peer stands in both of its ways: around what was seen, and told the true box.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass
+from pathlib import Path
+from typing import Any
+
+from gfp_grasp.assets import data_file
+from gfp_grasp.bench.completion import CompletionConfig, bench_completion
+from gfp_grasp.bench.costs import measure_costs
+from gfp_grasp.bench.kitti import PAPER, PARTIAL, WHOLE, KittiConfig, bench_kitti
+from gfp_grasp.bench.methods import UNDEFORMED
+from gfp_grasp.bench.peer_trials import IN_SIMULATOR, followed_by, packed, unpacked, without
+from gfp_grasp.bench.rows import CompletionRow, paired_gain
+from gfp_grasp.completers import PEER_COMPLETERS, get_completer
+from gfp_grasp.errors import InvalidOption, NotTrained
+from gfp_grasp.parallel import Progress
+from gfp_grasp.peers import PEERS, TRUE_BOX, get_peer, weights_stem
+from gfp_grasp.scenes import ObjectSource, label_of, load_objects
+from gfp_grasp.score import Report, ScoreConfig, ScoreRow, score
+from gfp_grasp.shapes import HOUSEHOLD, IN_PAPER, MIXTURES, TRAFFIC
+from gfp_grasp.types import UNKNOWN
+
+OURS = "gfpnet"
+BEFORE, AFTER = (PARTIAL, "observed", "mirror", *PAPER), ("classfree", UNDEFORMED, OURS)
+BELOW, ABOVE = "observed", ("classfree", OURS, "oracle")  # in the score
+HIDDEN = (0.0, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9)
+GROUPS: Mapping[str, tuple[str, ...]] = {
+    **{name: (name,) for name in IN_PAPER},
+    "household": HOUSEHOLD,
+    UNKNOWN: tuple(MIXTURES),
+}
+_FIGURES = ("cd_m", "cd_median_m", "f_score", "failed", "views", "ms", "ms_p95")
+_COSTED = 20  # objects
+
+
+@dataclass(frozen=True)
+class PeersConfig:
+    """What is compared.
+
+    Attributes:
+        peers: Some of `gfp_grasp.peers.PEERS`; each is measured in both ways, where its weights are there.
+        views: Number of views of each object.
+        limit: Most objects of each group; families take turns, and of a folder the first are taken.
+        seed: Seed of all views.
+        data: Folder of meshes `<class>__<name>`, or `<name>` for things of no class, that are completed and grasped in
+            place of the procedural test split.
+        kitti: Tree of scans, as `bench_kitti` takes it; None leaves this out.
+        with_score: Whether grasps are tried in the simulator.
+    """
+
+    peers: tuple[str, ...] = tuple(PEERS)
+    views: int = 1
+    limit: int = 60
+    seed: int = 0
+    data: Path | None = None
+    kitti: Path | None = None
+    with_score: bool = True
+
+    def __post_init__(self) -> None:
+        for name in self.peers:
+            get_peer(name)
+        if not self.peers or len(set(self.peers)) < len(self.peers):
+            raise InvalidOption(f"peers are {self.peers}; some of {', '.join(PEERS)} are expected, each but once")
+        if min(self.views, self.limit) < 1:
+            raise InvalidOption(f"views is {self.views} and limit {self.limit}; at least 1 of each is expected")
+        for folder in (self.data, self.kitti):
+            if folder is not None and not folder.is_dir():
+                raise InvalidOption(f"{folder} is no folder: data is one of meshes, kitti one of scans")
+
+
+@dataclass(frozen=True)
+class _Run:
+    """How a comparison is made.
+
+    Attributes:
+        config: What is compared.
+        peers: Completers of PEER_COMPLETERS that are measured.
+        former: An earlier report, or nothing.
+        workers: Number of processes.
+        progress: Makes what wraps a part's results.
+        journal: File of the trials of grasps.
+    """
+
+    config: PeersConfig
+    peers: tuple[str, ...]
+    former: Mapping[str, Any]
+    workers: int
+    progress: Callable[[str], Progress | None]
+    journal: Path | None
+
+    def settings_of(self, part: str) -> Mapping[str, Any]:
+        return self.former.get("settings", {}).get(part, {})
+
+
+def bench_peers(
+    *,
+    config: PeersConfig = PeersConfig(),
+    known: Mapping[str, Any] | None = None,
+    workers: int = 1,
+    progress: Callable[[str], Progress | None] = lambda part: None,
+    save: Callable[[dict[str, Any]], None] = lambda report: None,
+    journal: Path | None = None,
+) -> dict[str, Any]:
+    """Set the package beside other networks, and beside the paper's own method.
+
+    Args:
+        config: What is compared.
+        known: An earlier report. What it has of the same settings is kept, but for peers that were trained anew.
+        workers: Number of processes; costs are measured with nothing beside them.
+        progress: Makes what wraps the stream of a part's results, from the part's name.
+        save: Given the report so far, after each part.
+        journal: File of the trials of grasps as they come, see `gfp_grasp.score.score`.
+
+    Returns:
+        {"settings", "left_out": [{"method", "why"}] of peers without weights, "groups": {group: {method: figures}} with
+        the Chamfer distance `cd_m` (mean) and `cd_median_m`, `f_score`, `failed` of `views`, and ms, "paired": {group:
+        {method: `paired_gain` of "gfpnet" over it}}, "occlusion": {share that is hidden: {method: figures}}, "cost":
+        see `measure_costs`, "score": {"completers", "paired"}, see `gfp_grasp.score.Report`, "kitti": {row: figures of
+        `bench_kitti`}, "trials"}. What was not asked for, or has no object, is empty.
+
+        A trial of a group is one method: its distances, F-scores, ms and errors, for the objects of the group's
+        settings in their order and the views of each. A trial of the group "score" is one `ScoreRow`.
+
+    Raises:
+        InvalidOption: A folder without any object of these classes, or an earlier report of something else.
+        UnreadableFile: A mesh or scan that cannot be read.
+    """
+    if known and "weights" not in known.get("settings", {}):
+        raise InvalidOption("what is known was not written by this bench: name a file of its own, or start afresh")
+    groups = tuple(_groups(config))
+    weights, left_out = _weights(config.peers, known)
+    former: Mapping[str, Any] = {}
+    if known:
+        former = without(known, {name for name, of in known["settings"]["weights"].items() if weights.get(name) != of})
+    run = _Run(config, tuple(weights), former, workers, progress, journal)
+    report: dict[str, Any] = {
+        "settings": {
+            "views": config.views,
+            "limit": config.limit,
+            "seed": config.seed,
+            "data": None if config.data is None else label_of(config.data),
+            "weights": weights,
+            "groups": {},
+        },
+        "left_out": left_out,
+        **{part: {} for part in ("groups", "paired", "occlusion", "cost", "score", "kitti")},
+        "trials": [],
+    }
+    for group in groups:
+        _compare(group, run, report)
+        save(followed_by(report, former))
+    for asked, add in ((config.kitti, _drive), (config.with_score, _grasp), (True, _weigh)):
+        if asked:
+            add(run, report)
+            save(followed_by(report, former))
+    return report
+
+
+@dataclass(frozen=True)
+class _Group:
+    """Things that are looked at in one way; `hidden` is the share of them behind a board, None without one."""
+
+    name: str
+    sources: tuple[ObjectSource, ...]
+    views: CompletionConfig
+    hidden: float | None = None
+
+
+def _groups(config: PeersConfig) -> Iterator[_Group]:
+    """Groups that have an object.
+
+    Raises:
+        InvalidOption: There is none.
+    """
+    found = {name: _sources(config, families) for name, families in GROUPS.items()}
+    if not any(found.values()):
+        asked = ", ".join(dict.fromkeys((*IN_PAPER, *HOUSEHOLD)))
+        raise InvalidOption(f"no object of {config.data} is of a class that is compared ({asked}) or of none")
+    for name, sources in found.items():
+        protocol = "lidar" if set(GROUPS[name]) <= set(TRAFFIC) else "standard"
+        if sources:
+            yield _Group(name, sources, CompletionConfig(config.views, config.seed, protocol=protocol))
+    behind = _sources(config, [name for name in IN_PAPER if name in HOUSEHOLD])
+    for share in HIDDEN if behind else ():
+        views = CompletionConfig(config.views, config.seed, protocol="hidden", hidden_share=share)
+        yield _Group(f"hidden {share}", behind, views, share)
+
+
+def _sources(config: PeersConfig, families: Sequence[str]) -> tuple[ObjectSource, ...]:
+    if config.data is None:
+        return load_objects(",".join(families), limit=config.limit)
+    categories = {"" if family in MIXTURES else family for family in families}
+    return tuple(source for source in load_objects(config.data) if source.category in categories)[: config.limit]
+
+
+def _weights(peers: Sequence[str], known: Mapping[str, Any] | None) -> tuple[dict[str, str], list[dict[str, str]]]:
+    """Digests of the weights of the peers that are asked for or were measured before, and what has none."""
+    before = known["settings"]["weights"] if known else {}
+    digests, left_out = {}, []
+    for completer in PEER_COMPLETERS:
+        name = completer.removesuffix(TRUE_BOX)
+        if name not in peers and completer not in before:
+            continue
+        try:
+            get_completer(completer)
+        except NotTrained as error:
+            left_out.append({"method": completer, "why": str(error)})
+            continue
+        file = data_file("weights", f"{weights_stem(name, true_box=name != completer)}.safetensors")
+        digests[completer] = hashlib.sha256(file.read_bytes()).hexdigest()[:16]
+    return digests, left_out
+
+
+def _compare(group: _Group, run: _Run, report: dict[str, Any]) -> None:
+    """Add the completions of a group."""
+    known = None
+    if (settings := run.settings_of("groups").get(group.name)) is not None:
+        categories = {source.name: source.category or UNKNOWN for source in group.sources}
+        records = [record for record in run.former["trials"] if record["group"] == group.name]
+        known = {"settings": settings, "trials": list(unpacked(records, settings, categories))}
+    found = bench_completion(
+        group.sources,
+        methods=(*BEFORE, *run.peers, *AFTER),
+        config=group.views,
+        known=known,
+        workers=run.workers,
+        progress=run.progress(group.name),
+    )
+    rows = [CompletionRow(**trial) for trial in found["trials"]]
+    of_methods = found["rows"]["all"]
+    answered = [method for method in (*BEFORE, *run.peers, *AFTER) if of_methods[method]["views"]]
+    figures = {method: {name: of_methods[method][name] for name in _FIGURES} for method in answered}
+    if group.hidden is None:
+        report["groups"][group.name] = figures
+    else:
+        report["occlusion"][str(group.hidden)] = figures
+    report["paired"][group.name] = {name: paired_gain(rows, OURS, name) for name in answered if name != OURS}
+    report["settings"]["groups"][group.name] = found["settings"]
+    report["trials"] += packed(group.name, found["trials"], answered)
+
+
+def _drive(run: _Run, report: dict[str, Any]) -> None:
+    """Add what is completed of KITTI's scans."""
+    assert run.config.kitti is not None
+    how = KittiConfig()
+    settings = {"tree": label_of(run.config.kitti), "frames": how.frames, "least_points": how.least_points}
+    rows = (PARTIAL, WHOLE, *PAPER, *run.peers, UNDEFORMED, OURS)
+    found = dict(run.former["kitti"]) if run.settings_of("kitti") == settings else {}
+    if missing := tuple(row for row in rows if row not in found):
+        told = bench_kitti(
+            run.config.kitti, config=KittiConfig(missing), workers=run.workers, progress=run.progress("kitti")
+        )
+        for row, figures in told["rows"].items():
+            found[row] = {name: value for name, value in figures.items() if name != "each"}
+    report["settings"]["kitti"] = settings
+    report["kitti"] = {row: found[row] for row in rows}
+
+
+def _grasp(run: _Run, report: dict[str, Any]) -> None:
+    """Add what grasps do that are planned on the completions of household objects, if there are any."""
+    config = run.config
+    if not _sources(config, HOUSEHOLD):
+        return
+    how = ScoreConfig(views=config.views, seed=config.seed, limit=config.limit, classes=HOUSEHOLD)
+    objects = ",".join(HOUSEHOLD) if config.data is None else str(config.data)
+    asked = {"objects": label_of(objects), **asdict(how), "classes": sorted(HOUSEHOLD)}
+    completers = (BELOW, *run.peers, *ABOVE)
+    settings, rows = {}, []
+    if asked.items() <= run.settings_of("score").items():
+        settings = dict(run.settings_of("score"))
+        rows = [ScoreRow(**_own(trial)) for trial in run.former["trials"] if trial["group"] == IN_SIMULATOR]
+    done = {row.completer for row in rows}
+    if missing := tuple(name for name in completers if name not in done):
+        made = score(
+            objects, missing, config=how, workers=run.workers, journal=run.journal, progress=run.progress(IN_SIMULATOR)
+        )
+        settings, rows = {**asked, **made.settings}, [*rows, *made.rows]
+    settings["completers"] = list(completers)
+    ordered = sorted(rows, key=lambda row: completers.index(row.completer))
+    whole = Report(settings, tuple(ordered))
+    report["settings"]["score"] = settings
+    report["score"] = {
+        "completers": whole.completers(),
+        "paired": {
+            name: {other: pair for other, pair in pairs.items() if other in (BELOW, *ABOVE)}
+            for name, pairs in whole.paired().items()
+        },
+    }
+    report["trials"] += [{"group": IN_SIMULATOR, **asdict(row)} for row in ordered]
+
+
+def _own(trial: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: value for name, value in trial.items() if name != "group"}
+
+
+def _weigh(run: _Run, report: dict[str, Any]) -> None:
+    """Add what a completion costs."""
+    settings = {"objects": "household", "limit": _COSTED, "seed": run.config.seed}
+    methods = tuple(name for name in (*BEFORE, *run.peers, *AFTER) if name != PARTIAL)
+    found = dict(run.former["cost"]) if run.settings_of("cost") == settings else {}
+    if missing := tuple(name for name in methods if name not in found):
+        found |= measure_costs(missing, **settings, progress=run.progress("cost"))
+    report["settings"]["cost"] = settings
+    report["cost"] = {name: found[name] for name in methods}
