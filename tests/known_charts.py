@@ -89,7 +89,9 @@ def peers(path: Path) -> str:
         "cup": {name: {"cd_m": 0.001 * 3**i} for i, name in enumerate(names)},
         "a & b": {"partial": {"cd_m": 0.4}, "pcn-true-box": {"cd_m": 0.02}, "3d-epn": {"cd_m": None}},
     }
-    shares = {str(share): {name: {"cd_m": 0.01 + 0.01 * share} for name in names} for share in (0.0, 0.45, 0.9)}
+    shares: dict[str, dict] = {
+        str(share): {name: {"cd_m": 0.01 + 0.01 * share} for name in names} for share in (0.0, 0.45, 0.9)
+    }
     shares["0.45"]["pcn"] = {"cd_m": None}
     return write_peers(groups, shares, path).read_text(encoding="utf-8")
 
