@@ -18,7 +18,6 @@ from gfp_grasp.datasets import layout_of
 from gfp_grasp.level import make_level_view
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.register import PCRNet, PoseShape, make_starts, network_input, rotation_of
-from gfp_grasp.scenes import shipped_families
 from gfp_grasp.shapes import IN_PAPER
 from gfp_grasp.train.by_sensor import class_sensor, class_views
 from gfp_grasp.train.curves import LearningCurve
@@ -49,8 +48,8 @@ def train_pcrnet(
 
     Args:
         config: Schedule.
-        classes: Classes whose shapes are learnt from; None takes all of the library, of the shipped one the household
-            ones and those of the paper's table.
+        classes: Classes whose shapes are learnt from; None takes all of the library, of the shipped one those of the
+            paper's table.
         library: Their primitives; None takes the shipped ones.
         data: Folder of meshes, as `read_dataset` takes it; None takes procedural shapes.
         num_views: Views of each shape.
@@ -63,8 +62,7 @@ def train_pcrnet(
         Path of the card.
     """
     torch.manual_seed(config.seed)
-    shipped = dict.fromkeys((*shipped_families(), *IN_PAPER))
-    categories = tuple(classes or (shipped if library is None else library.categories))
+    categories = tuple(classes or (IN_PAPER if library is None else library.categories))
     library = library or PrimitiveLibrary.shipped()
 
     def samples(split: str, seed: int, copies: int) -> Batch:
