@@ -154,6 +154,8 @@ def test_cuts_are_made_where_they_are_asked_for_and_coacd_is_not(monkeypatch):
     found = collision_of(shape, config=CollisionConfig(engine="cuts"))
     assert found.made_by == "cuts"
     assert sum(volume_m3(part) for part in found.parts) == pytest.approx(L.volume, rel=0.03)
+    for made_by in ("classfree", "peer"):  # as they are made of what a network says
+        assert collision_of(replace(shape, made_by=made_by)).made_by == "cuts"
     with pytest.raises(AssertionError, match="CoACD ran"):
         collision_of(shape)
 

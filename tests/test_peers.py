@@ -141,6 +141,7 @@ def test_grid_networks_answer_with_a_surface_or_say_that_there_is_none(name: str
     shape = complete_by_peer(detection_of(front_of_cylinder()), name, network=network)
     assert shape.mesh.is_volume
     assert shape.observed.shape == shape.sigma_m.shape == (len(shape.mesh.vertices),)
+    assert shape.made_by == "peer"
 
 
 def test_the_points_join_the_mesh_of_scrg() -> None:

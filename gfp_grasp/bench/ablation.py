@@ -39,7 +39,7 @@ _SPANS = 3
 
 @dataclass(frozen=True)
 class AblationConfig(Budget):
-    """Budget of each of fifteen networks, and the noise of one; as it is, about an hour of one quiet core.
+    """Budget of each of fifteen networks, and the noise of one; as it is, twenty minutes of one quiet core.
 
     Attributes:
         steps: Number of optimiser steps.
@@ -50,7 +50,7 @@ class AblationConfig(Budget):
         noise_m: Standard deviation of the noise in the noisy row, m.
     """
 
-    steps: int = 2000
+    steps: int = 800
     noise_m: float = 0.01
 
     def __post_init__(self) -> None:

@@ -68,7 +68,7 @@ def collision_of(shape: CompletedShape, *, config: CollisionConfig = CollisionCo
         DecompositionFailed: CoACD had to run, and was lost in every attempt.
     """
     if config.engine == "auto":
-        config = replace(config, engine="cuts" if shape.made_by == "classfree" else "coacd")
+        config = replace(config, engine="cuts" if shape.made_by in ("classfree", "peer") else "coacd")
     deformed = _deformed(shape, config)
     if deformed is not None:
         return deformed if _is_true(deformed, shape, config) else _decomposed_or(deformed, shape, config)

@@ -25,7 +25,7 @@ class CollisionConfig:
         tolerance_m: 95 % of the surfaces of parts and mesh lie within this distance of each other. The fewest parts
             that achieve this are taken. None takes as many of max_parts as make a difference.
         engine: What splits a mesh that brings no parts of its own, or whose own parts miss their bound: "coacd", or
-            "cuts" for few plane cuts, in a fifth of a second. "auto" is "cuts" for the class-free completion.
+            "cuts" for few plane cuts, in a fifth of a second. "auto" is "cuts" for a network's mesh.
     """
 
     max_parts: int = 80

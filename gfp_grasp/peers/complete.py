@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import trimesh
 
@@ -48,4 +50,4 @@ def complete_by_peer(
     mesh = trimesh.Trimesh(cube.outward(np.asarray(surface.vertices)), np.asarray(surface.faces), process=False)
     if not mesh.is_volume:
         raise NoSurface(f"the surface of the peer {name!r} encloses no volume: is its network trained?")
-    return mark_shape(mesh, detection)
+    return replace(mark_shape(mesh, detection), made_by="peer")

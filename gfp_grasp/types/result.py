@@ -25,7 +25,8 @@ class CompletedShape:
         sigma_m: (v,) standard deviation of the surface's position, m.
         fit: The fit that it came from; None where no primitive was used.
         timings_s: Seconds by stage.
-        made_by: "primitive", "classfree" (the network that knows no class), "hull" (of what was seen), or "other".
+        made_by: "primitive", "classfree" (the network that knows no class), "peer" (another network), "hull" (of what
+            was seen), or "other".
         note: Why it is not what the likeliest class's primitive would have been; "" where it is.
     """
 
@@ -34,7 +35,7 @@ class CompletedShape:
     sigma_m: np.ndarray
     fit: FittedPrimitive | None = None
     timings_s: Mapping[str, float] = field(default_factory=dict)
-    made_by: Literal["primitive", "classfree", "hull", "other"] = "other"
+    made_by: Literal["primitive", "classfree", "peer", "hull", "other"] = "other"
     note: str = ""
 
     def __post_init__(self) -> None:
