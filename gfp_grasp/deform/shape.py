@@ -35,7 +35,15 @@ _LITTLE = 0.03  # share of an object's longest side
 def diffuse(primitive: GenericPrimitive, displacement: np.ndarray, confidence: np.ndarray) -> np.ndarray:
     """Spread displacements (v, 3) m over the mesh, by their confidence (v,), to vertices that have none.
 
-    Minimises the confident misfit and the bending of the displacement: sum c |d - d0|^2 + s |L d|^2.
+    Minimises the confident misfit and the bending of the displacement: the sum of c (d - d0)^2 + s (L d)^2.
+
+    Args:
+        primitive: Whose connectivity is meant.
+        displacement: (v, 3) m.
+        confidence: (v,) from 0 to 1.
+
+    Returns:
+        (v, 3) m.
     """
     confidence = np.maximum(confidence, 1e-3)
     solve = _diffuser(primitive, confidence.tobytes())
