@@ -213,7 +213,7 @@ def test_the_network_moves_starts_in_its_own_upright_unit_frame(monkeypatch):
         size = (len(template), 1, 1)
         return torch.tensor(turn, dtype=torch.float32).repeat(size), torch.tensor(shift).float().repeat(size[:2])
 
-    monkeypatch.setattr(pcrnet, "load_pcrnet", lambda: network)
+    monkeypatch.setattr(pcrnet, "load_pcrnet", lambda weights: network)
     states = make_starts(wedge_primitive(), evidence, ("upright",))[:2]
     moved = pcrnet.correct_starts(states, wedge_primitive(), evidence)
     template, cloud = seen

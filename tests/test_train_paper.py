@@ -194,7 +194,7 @@ def test_patches_come_from_the_cache_once_made_and_are_counted(tmp_path: Path, m
     monkeypatch.setattr(module, "_label", again)
     cached, _ = paper_patches("val", classes=["cup", "pedestrian"], members=1, num_views=1, runs=tmp_path)
     assert all(torch.equal(a, b) for a, b in zip(made, cached, strict=True))
-    monkeypatch.setattr(module, "_pcrnet", lambda: b"another")
+    monkeypatch.setattr(module, "_content", lambda weights: b"another")
     with pytest.raises(AssertionError, match="made again"):
         paper_patches("val", classes=["cup"], members=1, num_views=1, runs=tmp_path)
 

@@ -23,6 +23,7 @@ Out = Annotated[Path | None, typer.Option(help="Weights file to write; left out,
 Classes = Annotated[
     str | None, typer.Option(help="Classes to learn from, with commas between; left out, all that ship.")
 ]
+Sensor = Annotated[str, typer.Option(help="tabletop, or lidar for scans of traffic.")]
 Data = Annotated[
     Path | None, typer.Option(help="Folder of ModelNet40, ShapeNetCore or of meshes; left out, procedural shapes.")
 ]
@@ -33,7 +34,7 @@ def proposal(
     classes: Classes = None,
     data: Data = None,
     folder: Annotated[Path, typer.Option("--out", help="Folder of the weights.")] = Path("gfp_grasp/weights"),
-    sensor: Annotated[str, typer.Option(help="tabletop, or lidar for scans of traffic.")] = "tabletop",
+    sensor: Sensor = "tabletop",
     steps: Steps = None,
     limit: LimitOfEach = None,
     device: Device = "cpu",
@@ -66,6 +67,7 @@ def pcrnet(
     classes: Classes = None,
     data: Data = None,
     file: Out = None,
+    sensor: Sensor = "tabletop",
     steps: Steps = None,
     views: Views = 4,
     limit: LimitOfEach = None,
@@ -75,11 +77,13 @@ def pcrnet(
 ) -> None:
     """The registration network."""
     from gfp_grasp.train import PCRNET_CONFIG, train_pcrnet
+    from gfp_grasp.types import get_sensor
 
     config = replace(PCRNET_CONFIG, seed=seed, device=device, steps=steps or PCRNET_CONFIG.steps)
     with _bar("pcrnet", config.steps) as report:
         card = train_pcrnet(
             config=config,
+            sensor=get_sensor(sensor),
             classes=_listed(classes),
             data=data,
             num_views=views,

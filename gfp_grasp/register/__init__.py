@@ -9,7 +9,7 @@ from gfp_grasp.register.starts import make_starts
 from gfp_grasp.register.state import PoseShape
 
 if TYPE_CHECKING:
-    from gfp_grasp.register.pcrnet import PCRNet, mlp, network_input, rotation_of
+    from gfp_grasp.register.pcrnet import PCRNet, mlp, network_input, pcrnet_weights, rotation_of
 
 __all__ = [
     "STARTS",
@@ -25,12 +25,13 @@ __all__ = [
     "network_input",
     "part_is_seen",
     "pcrnet_config",
+    "pcrnet_weights",
     "rotation_of",
     "size_of_extents",
 ]
 
 
 def __getattr__(name: str) -> object:
-    if name in ("PCRNet", "mlp", "network_input", "rotation_of"):  # these bring torch
+    if name in ("PCRNet", "mlp", "network_input", "pcrnet_weights", "rotation_of"):  # these bring torch
         return getattr(import_module("gfp_grasp.register.pcrnet"), name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

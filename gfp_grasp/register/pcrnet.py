@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from functools import lru_cache
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
@@ -26,7 +26,7 @@ from gfp_grasp.networks import with_weights
 from gfp_grasp.parallel import one_thread
 from gfp_grasp.register.state import PoseShape, surface_samples
 from gfp_grasp.transforms import rotation_between
-from gfp_grasp.types import GenericPrimitive, LevelView
+from gfp_grasp.types import GenericPrimitive, LevelView, SensorProfile
 
 NUM_POINTS = 128
 ITERATIONS = 5
@@ -103,7 +103,7 @@ def correct_starts(states: list[PoseShape], primitive: GenericPrimitive, evidenc
     turn = _up_to_z(evidence.up)
     template, cloud = (torch.tensor(np.stack([i[k] for i in inputs]) @ turn.T, dtype=torch.float32) for k in (0, 1))
     with one_thread(), torch.inference_mode():
-        R, t = load_pcrnet()(template, cloud)
+        R, t = load_pcrnet(pcrnet_weights(evidence.sensor))(template, cloud)
     R, t = turn.T @ R.double().numpy() @ turn, t.double().numpy() @ turn
     moved = []
     for state, R_i, t_i, (_, _, centre, radius) in zip(states, R, t, inputs, strict=True):
@@ -112,10 +112,15 @@ def correct_starts(states: list[PoseShape], primitive: GenericPrimitive, evidenc
     return moved
 
 
-@lru_cache(maxsize=1)
-def load_pcrnet() -> PCRNet:
-    """The shipped network, in evaluation mode, loaded once."""
-    return with_weights(PCRNet(), data_file("weights", "pcrnet.safetensors"), name="pcrnet")
+def pcrnet_weights(sensor: SensorProfile) -> str:
+    """Name of the shipped weights that saw what a sensor sees: things on tables, or scans of traffic."""
+    return "pcrnet_lidar" if sensor.of_traffic else "pcrnet"
+
+
+@cache
+def load_pcrnet(weights: str = "pcrnet") -> PCRNet:
+    """A shipped network, in evaluation mode, loaded once."""
+    return with_weights(PCRNet(), data_file("weights", f"{weights}.safetensors"), name=weights)
 
 
 def _up_to_z(up: np.ndarray) -> np.ndarray:

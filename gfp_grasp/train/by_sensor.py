@@ -21,21 +21,24 @@ def class_views(
     *,
     num_views: int,
     limit: int | None = None,
+    sensor: SensorProfile | None = None,
     runs: Path = Path("runs"),
     workers: int = 1,
     data: Path | None = None,
 ) -> list[View]:
-    """Cached views of a class by its sensor.
+    """Cached views of a class.
 
     Args:
         name: Class.
         split: "train", "val" or "test".
         num_views: Views of each shape.
         limit: At most so many shapes; None takes the whole split.
+        sensor: What sees it; None is the sensor that meets the class.
         runs: Folder of the caches.
         workers: Processes that render.
         data: Folder of meshes, as `read_dataset` takes it; None takes procedural shapes.
     """
+    sensor = sensor or class_sensor(name)
     return cached_views(
         name,
         split,
@@ -43,6 +46,6 @@ def class_views(
         limit=limit,
         folder=runs / "views",
         workers=workers,
-        config=ScansConfig() if class_sensor(name) is LIDAR else ViewsConfig(),
+        config=ScansConfig() if sensor.of_traffic else ViewsConfig(),
         data=data,
     )

@@ -16,7 +16,7 @@ import os
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
-from functools import lru_cache, partial
+from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
@@ -31,7 +31,7 @@ from gfp_grasp.level import make_level_view
 from gfp_grasp.meshes import crossing_faces, sample_surface, vertex_normals
 from gfp_grasp.parallel import pmap
 from gfp_grasp.primitives import PrimitiveLibrary, fit_full_surface, project
-from gfp_grasp.register import FitConfig, fit_best, pcrnet_config, size_of_extents
+from gfp_grasp.register import FitConfig, fit_best, pcrnet_config, pcrnet_weights, size_of_extents
 from gfp_grasp.scenes import ObjectSource
 from gfp_grasp.shapes import IN_PAPER
 from gfp_grasp.train.by_sensor import class_sensor, class_views
@@ -122,7 +122,8 @@ def _label(mesh: trimesh.Trimesh, primitive: GenericPrimitive, seed: int) -> tup
 
 def _cached_rows(view: View, *, primitive: GenericPrimitive, folder: Path) -> list[_Rows]:
     """Verdict and rows of each fit of a view."""
-    made_from = hashlib.sha256(view.points.tobytes() + _pcrnet()).hexdigest()[:20]
+    weights = pcrnet_weights(class_sensor(view.family))
+    made_from = hashlib.sha256(view.points.tobytes() + _content(weights)).hexdigest()[:20]
     path = folder / f"{made_from}_{_shape_id(primitive)}.npz"
     if not path.is_file():
         verdict, label = _cached_label(view.source, primitive=primitive, folder=folder)
@@ -175,10 +176,10 @@ def _turned(label: np.ndarray, vertices: np.ndarray, primitive: GenericPrimitive
     return apply_T(make_T(rotation_about((0, 0, 1), step * np.round(yaw / step)), None), label)
 
 
-@lru_cache(maxsize=1)
-def _pcrnet() -> bytes:
+@cache
+def _content(weights: str) -> bytes:
     """What registers: another PCRNet makes other patches."""
-    return data_file("weights", "pcrnet.safetensors").read_bytes()
+    return data_file("weights", f"{weights}.safetensors").read_bytes()
 
 
 def _shape_id(primitive: GenericPrimitive) -> str:

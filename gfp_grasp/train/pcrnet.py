@@ -1,6 +1,7 @@
 """Training of PCRNet on the starts that registration really has, for views of shapes.
 
-Pairs are seen as a completion sees them: z up and x towards the viewer. Those of traffic are seen by a LiDAR.
+Pairs are seen as a completion sees them: z up and x towards the viewer. Traffic has a network of its
+own, which saw what a LiDAR sees.
 """
 
 from __future__ import annotations
@@ -17,14 +18,15 @@ from gfp_grasp.assets import data_dir
 from gfp_grasp.datasets import layout_of
 from gfp_grasp.level import make_level_view
 from gfp_grasp.primitives import PrimitiveLibrary
-from gfp_grasp.register import PCRNet, PoseShape, make_starts, network_input, rotation_of
-from gfp_grasp.shapes import IN_PAPER
-from gfp_grasp.train.by_sensor import class_sensor, class_views
+from gfp_grasp.register import PCRNet, PoseShape, make_starts, network_input, pcrnet_weights, rotation_of
+from gfp_grasp.scenes import shipped_families
+from gfp_grasp.shapes import TRAFFIC
+from gfp_grasp.train.by_sensor import class_views
 from gfp_grasp.train.curves import LearningCurve
 from gfp_grasp.train.loop import Batch, LoopConfig, shuffled, train, training_key, write_weights
 from gfp_grasp.train.views import View
 from gfp_grasp.transforms import invert_T, rotation_about, rotation_between
-from gfp_grasp.types import GenericPrimitive
+from gfp_grasp.types import TABLETOP, GenericPrimitive, SensorProfile
 
 PCRNET_CONFIG = LoopConfig(steps=2500, batch=32, rate=1e-3, decay=0.7)
 _MAX_TURN_RAD = np.deg2rad(50)
@@ -35,6 +37,7 @@ _CURVE_PAIRS = 256  # that each point of the learning curve is measured on
 def train_pcrnet(
     *,
     config: LoopConfig = PCRNET_CONFIG,
+    sensor: SensorProfile = TABLETOP,
     classes: Sequence[str] | None = None,
     library: PrimitiveLibrary | None = None,
     data: Path | None = None,
@@ -48,8 +51,9 @@ def train_pcrnet(
 
     Args:
         config: Schedule.
-        classes: Classes whose shapes are learnt from; None takes all of the library, of the shipped one those of the
-            paper's table.
+        sensor: What sees them.
+        classes: Classes whose shapes are learnt from; None takes all of the library, of the shipped one those that the
+            sensor meets.
         library: Their primitives; None takes the shipped ones.
         data: Folder of meshes, as `read_dataset` takes it; None takes procedural shapes.
         num_views: Views of each shape.
@@ -62,22 +66,23 @@ def train_pcrnet(
         Path of the card.
     """
     torch.manual_seed(config.seed)
-    categories = tuple(classes or (IN_PAPER if library is None else library.categories))
+    met = TRAFFIC if sensor.of_traffic else shipped_families()
+    categories = tuple(classes or (met if library is None else library.categories))
     library = library or PrimitiveLibrary.shipped()
 
     def samples(split: str, seed: int, copies: int) -> Batch:
         rows = []
         rng = np.random.default_rng(seed)
         for category in categories:
-            views = class_views(category, split, num_views=num_views, limit=limit, runs=runs, data=data)
-            rows += _samples(views, library.primitive(category), rng, copies=copies)
+            views = class_views(category, split, num_views=num_views, limit=limit, sensor=sensor, runs=runs, data=data)
+            rows += _samples(views, library.primitive(category), rng, copies=copies, sensor=sensor)
         columns = zip(*rows, strict=True)
         return tuple(torch.tensor(np.array(column), dtype=torch.float32) for column in columns)
 
     network = PCRNet()
     pairs, held_out = samples("train", config.seed, 2), samples("val", config.seed + 1, 1)
     some = torch.linspace(0, len(held_out[0]) - 1, _CURVE_PAIRS).long().unique()
-    key = training_key(config, categories, library, num_views, limit, data)
+    key = training_key(config, sensor, categories, library, num_views, limit, data)
     folder = runs / "pcrnet"
     curve = LearningCurve(
         network, _loss, tuple(part[some] for part in held_out), config.bf16, folder / f"{key}_curve.json", report
@@ -90,7 +95,7 @@ def train_pcrnet(
         checkpoint=folder / f"{key}.pt",
         report=curve,
     )
-    out = out or data_dir("weights") / "pcrnet.safetensors"
+    out = out or data_dir("weights") / f"{pcrnet_weights(sensor)}.safetensors"
     return write_weights(
         network.half().float(),
         out,
@@ -127,11 +132,18 @@ def augmented(stream: Callable[[torch.Generator], Iterator[Batch]]) -> Callable[
     return batches
 
 
-def _samples(views: Sequence[View], primitive: GenericPrimitive, rng: np.random.Generator, *, copies: int) -> list:
+def _samples(
+    views: Sequence[View],
+    primitive: GenericPrimitive,
+    rng: np.random.Generator,
+    *,
+    copies: int,
+    sensor: SensorProfile = TABLETOP,
+) -> list:
     """Rows of template and cloud (n, 3), true rotation (3, 3) and translation (3,), radius m, for views of a class."""
     rows = []
     for view in views:
-        level = make_level_view(view.detection(sensor=class_sensor(view.family)))
+        level = make_level_view(view.detection(sensor=sensor))
         T_level_object = invert_T(level.T_world_level) @ view.T_world_object
         near = [s for s in make_starts(primitive, level, (view.resting,)) if _is_near(s, T_level_object, primitive)]
         for _ in range(copies if near else 0):
