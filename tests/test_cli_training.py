@@ -21,6 +21,7 @@ from gfp_grasp.train import (
     ProposalConfig,
     peer_config,
 )
+from gfp_grasp.types import LIDAR, TABLETOP
 
 MADE = SimpleNamespace(vertices=[0] * 5, modes=[0] * 2, parts=[0] * 3, part_errors_m=((1, 1), (0.00123, 0.0046)))
 
@@ -214,10 +215,13 @@ def test_training_of_the_registration_network_hands_on_every_option(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], bars: list[tuple[str, int]]
 ) -> None:
     train = recorded(monkeypatch, "gfp_grasp.train.train_pcrnet", Path("[b]card.json"))
-    assert run(f"train pcrnet --file own.safetensors --views 3 {TRAINED}") == 0
+    assert run(f"train pcrnet --file own.safetensors --views 3 --sensor lidar {TRAINED}") == 0
     assert run("train pcrnet") == 0
     config = replace(PCRNET_CONFIG, seed=5, device="cuda", steps=7)
-    assert train.calls == [((), {**RECEIVED, "config": config}), ((), {**DEFAULTS, "config": PCRNET_CONFIG})]
+    assert train.calls == [
+        ((), {**RECEIVED, "config": config, "sensor": LIDAR}),
+        ((), {**DEFAULTS, "config": PCRNET_CONFIG, "sensor": TABLETOP}),
+    ]
     assert bars == [("pcrnet", 7), ("pcrnet", PCRNET_CONFIG.steps)]
     assert capsys.readouterr().out == "[b]card.json\n[b]card.json\n"
 

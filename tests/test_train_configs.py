@@ -15,6 +15,7 @@ from gfp_grasp.assets import data_dir
 from gfp_grasp.errors import UnreadableFile
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.register import FitConfig
+from gfp_grasp.scenes import shipped_families
 from gfp_grasp.shapes import FAMILIES, TRAFFIC
 from gfp_grasp.train import (
     GFPNET_CONFIG,
@@ -35,7 +36,12 @@ from gfp_grasp.train.proposal_data import VIEWS
 from gfp_grasp.types import LIDAR, TABLETOP
 
 LIBRARY = PrimitiveLibrary.shipped()
-CONFIGS = {"proposal": ProposalConfig(), "proposal_lidar": LIDAR_CONFIG, "pcrnet": PCRNET_CONFIG}
+CONFIGS = {
+    "proposal": ProposalConfig(),
+    "proposal_lidar": LIDAR_CONFIG,
+    "pcrnet": PCRNET_CONFIG,
+    "pcrnet_lidar": PCRNET_CONFIG,
+}
 CONFIGS["gfpnet"] = GFPNET_CONFIG
 
 
@@ -77,13 +83,14 @@ class _Run:
 
 
 def test_pcrnet_is_trained_on_two_copies_of_each_view_and_measured_on_one(tmp_path: Path, monkeypatch) -> None:
-    run, asked, rows = _Run(pcrnet, monkeypatch), [], []
+    run, asked, rows, seen_by = _Run(pcrnet, monkeypatch), [], [], []
 
     def views(category, split, **knobs):
         asked.append((category, split, knobs))
         return [category, split]
 
-    def samples(found, primitive, rng, *, copies):
+    def samples(found, primitive, rng, *, copies, sensor):
+        seen_by.append(sensor)
         rows.append((found, primitive.name, rng.integers(1000), copies))
         return [(np.zeros((5, 3)), np.ones((4, 3)), np.eye(3), np.zeros(3), 0.1)] * 3
 
@@ -93,8 +100,8 @@ def test_pcrnet_is_trained_on_two_copies_of_each_view_and_measured_on_one(tmp_pa
     config = replace(PCRNET_CONFIG, seed=4, batch=2)
     told = print
     card = train_pcrnet(config=config, num_views=3, limit=5, runs=tmp_path, report=told)  # pyright: ignore[reportArgumentType]
-    knobs = {"num_views": 3, "limit": 5, "runs": tmp_path, "data": None}
-    names = ("cup", "bottle", "car", "pedestrian")
+    knobs = {"num_views": 3, "limit": 5, "sensor": TABLETOP, "runs": tmp_path, "data": None}
+    names = shipped_families()
     assert asked == [(name, split, knobs) for split in ("train", "val") for name in names]
     assert [(found, name, copies) for found, name, _, copies in rows] == [
         ([name, split], name, copies) for split, copies in (("train", 2), ("val", 1)) for name in names
@@ -129,6 +136,13 @@ def test_pcrnet_is_trained_on_two_copies_of_each_view_and_measured_on_one(tmp_pa
     assert run.written[1].data["shapes"] == "laid out as meshes"
     assert run.written[1].data["classes"] == ("mug",)
     assert asked[-1][2] == {**knobs, "num_views": 4, "limit": None, "data": Path("meshes")}
+    assert set(seen_by) == {TABLETOP}
+    train_pcrnet(sensor=LIDAR, runs=tmp_path)
+    assert run.written[2].path == data_dir("weights") / "pcrnet_lidar.safetensors"
+    assert run.written[2].data["classes"] == TRAFFIC
+    assert {(name, knobs["sensor"]) for name, _, knobs in asked[-2 * len(TRAFFIC) :]} == {(n, LIDAR) for n in TRAFFIC}
+    assert seen_by[-1] is LIDAR
+    assert len({made.checkpoint for made in run.trained}) == 3
 
 
 def _gfpnet_run(monkeypatch) -> tuple[_Run, list, list]:
