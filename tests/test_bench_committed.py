@@ -143,7 +143,7 @@ def test_figures_of_readiness_follow_from_their_rows_and_are_of_every_completer(
 def test_the_ablation_was_made_with_the_defaults_and_has_every_row():
     report = committed("ablation")
     assert report["settings"] == {**asdict(AblationConfig()), "iterations": list(ITERATIONS)}
-    assert len(report["rows"]) == 13
+    assert len(report["rows"]) == 15
     assert "64-128-1024, 0.01 m noise" in report["rows"]
     for row in report["rows"].values():
         assert len(row["cd_mm"]) == len(ITERATIONS) == 7

@@ -174,13 +174,15 @@ def test_detection_hands_on_every_option(
 def test_ablation_hands_on_every_option_and_prints_a_column_for_each_number_of_iterations(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, json_file: Path
 ) -> None:
-    cd_mm = [7.126, 6.0, 5.0, 4.0, 3.0, 2.0, 1.004]
+    cd_mm, plain = [7.126, 6.0, 5.0, 4.0, 3.0, 2.0, 1.004], {"noise_m": 0.0, "reading": "as taken"}
     report = {
         "settings": {"iterations": [1, 2, 3, 4, 5, 6, 7]},
         "rows": {
-            "8-32": {"cd_mm": cd_mm, "thirds_mm": [4.5, 3.5, 3.0], "widths": [8, 32]},
-            "4-16": {"cd_mm": cd_mm, "thirds_mm": [4.5, 3.5, 3.0], "widths": [4, 16]},
-            "8-4-32": {"cd_mm": cd_mm, "thirds_mm": [9.125, 8.0, 3.0], "widths": [8, 4, 32]},
+            "8-32": {"cd_mm": cd_mm, "thirds_mm": [4.5, 3.5, 3.0], "widths": [8, 32], **plain},
+            "4-16": {"cd_mm": cd_mm, "thirds_mm": [4.5, 3.5, 3.0], "widths": [4, 16], **plain},
+            "8-4-32": {"cd_mm": cd_mm, "thirds_mm": [9.125, 8.0, 3.0], "widths": [8, 4, 32], **plain},
+            "noisy": {"cd_mm": cd_mm, "thirds_mm": [5.0, 4.0, 3.0], "widths": [8, 32], **plain, "noise_m": 0.01},
+            "read": {"cd_mm": cd_mm, "thirds_mm": [5.0, 4.0, 3.0], "widths": [8, 32], **plain, "reading": "CD to T"},
         },
     }
     bench = recorded(monkeypatch, "gfp_grasp.bench.bench_ablation", report)
@@ -195,12 +197,16 @@ def test_ablation_hands_on_every_option_and_prints_a_column_for_each_number_of_i
         "workers": 3,
     }
     title = f"Layers and widths by iterations after 30 steps of {AblationConfig().batch} patches"
-    panels = {"codes of 32": {"8-32": cd_mm, "8-4-32": cd_mm}, "codes of 16": {"4-16": cd_mm}}
+    panels = {
+        "codes of 32": {"8-32": cd_mm, "8-4-32": cd_mm},
+        "codes of 16": {"4-16": cd_mm},
+        "learnt otherwise": {"noisy": cd_mm, "read": cd_mm},
+    }
     assert curves.only == ((panels, tmp_path / "lines.svg"), {"title": title, "axis": "iterations m"})
     printed = capsys.readouterr().out
     assert [f"m = {m} " in printed for m in range(9)] == [False, *[True] * 7, False]
     figures = " │  7.13 │  6.00 │  5.00 │  4.00 │  3.00 │  2.00 │  1.00 │ "
-    assert rows_of(printed)[::2] == [f"8-32   {figures}4.50 │ 3.50", f"8-4-32 {figures}9.12 │ 8.00"]
+    assert rows_of(printed)[:3:2] == [f"8-32   {figures}4.50 │ 3.50", f"8-4-32 {figures}9.12 │ 8.00"]
     assert json.loads(json_file.read_text()) == report
     assert run("bench ablation") == 0
     assert bench.calls[1][1]["config"] == AblationConfig()

@@ -36,7 +36,9 @@ def ablation(
     if picture is not None:
         panels: dict[str, dict[str, list[float]]] = {}
         for name, row in rows.items():
-            panels.setdefault(f"codes of {row['widths'][-1]}", {})[name] = row["cd_mm"]
+            plain = row["reading"] == "as taken" and not row["noise_m"]
+            panel = f"codes of {row['widths'][-1]}" if plain else "learnt otherwise"
+            panels.setdefault(panel, {})[name] = row["cd_mm"]
         title = f"Layers and widths by iterations after {steps} steps of {config.batch} patches"
         write_curves(panels, picture, title=title, axis="iterations m")
     save_json(json_file, report)
