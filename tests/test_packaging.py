@@ -30,9 +30,12 @@ def test_wheel_built_by_way_of_an_sdist_is_the_same(tmp_path: Path) -> None:
 
 
 @pytest.mark.slow
-def test_wheel_is_pure_python_and_under_sixty_megabytes(wheel: Path) -> None:
+def test_wheel_is_pure_python_and_under_sixty_megabytes_but_for_other_networks(wheel: Path) -> None:
     assert wheel.name.endswith("-py3-none-any.whl")
-    assert wheel.stat().st_size < wheel_check.MAX_WHEEL_BYTES
+    own, peers = wheel_check.sizes(wheel)
+    assert own < wheel_check.MAX_WHEEL_BYTES
+    assert 1_000_000 < peers < wheel_check.MAX_PEERS_BYTES
+    assert own + peers == wheel.stat().st_size
 
 
 def test_no_file_of_the_shipped_folders_is_ignored_by_git() -> None:
