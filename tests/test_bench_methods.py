@@ -272,6 +272,7 @@ def test_the_bound_draws_what_was_observed_onto_the_true_surface_and_leaves_what
     answer = run_method("told-pcrnet-bound-sized", view, None, "car")
     assert asked == [standing(size=size_of_extents(primitive, methods.extents_of(view)))]
     assert answer.completion is None
+    assert isinstance(answer.surface, trimesh.Trimesh)
     moved = apply_T(np.linalg.inv(T), np.asarray(answer.surface.vertices))
     before = np.abs(trimesh.proximity.signed_distance(true, apply_T(T, own[own[:, 0] > 1.2]))).mean()
     after = np.abs(trimesh.proximity.signed_distance(true, apply_T(T, moved[own[:, 0] > 1.2]))).mean()
