@@ -27,11 +27,12 @@ from gfp_grasp.scenes import load_objects
 
 # Files of the networks that a method may come to read.
 _PROPOSALS = ("proposal", "proposal_lidar")
+_PAPER = (*_PROPOSALS, "pcrnet", "pcrnet_lidar")
 NETWORKS: Mapping[str, tuple[str, ...]] = {
     "classfree": ("classfree",),
-    "told-pcrnet": (*_PROPOSALS, "pcrnet"),
-    "told-pcrnet-gfs": (*_PROPOSALS, "pcrnet"),
-    "told-pcrnet-gfpnet-paper": (*_PROPOSALS, "pcrnet", "gfpnet_paper"),
+    "told-pcrnet": _PAPER,
+    "told-pcrnet-gfs": _PAPER,
+    "told-pcrnet-gfpnet-paper": (*_PAPER, "gfpnet_paper"),
     "registration": (*_PROPOSALS, "classfree"),
     "gfpnet": (*_PROPOSALS, "classfree", "gfpnet"),
     **{
