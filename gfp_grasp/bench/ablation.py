@@ -2,9 +2,8 @@
 
 Encoders of two to five layers, at the paper's widths, at half and at a quarter of them, are trained alike, and each is
 asked with one to seven iterations; the paper's augmenting noise of 0.01 m and other readings of its loss are rows of
-their own. A row says what its
-network came to at a third and at two thirds of its steps, too: where these differ little, more steps would not change
-much. The decoder is the paper's in every row.
+their own. A row says what its network came to at a third and at two thirds of its steps, too: where these differ
+little, more steps would not change much. The decoder is the paper's in every row.
 """
 
 from __future__ import annotations

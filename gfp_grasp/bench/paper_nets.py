@@ -14,7 +14,7 @@ from torch import nn
 from gfp_grasp.deform import NUM_PATCHES, NUM_SOURCE, NUM_TEMPLATE, PaperNet
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.parallel import one_thread
-from gfp_grasp.train import Batch, LoopConfig, Reading, looped_loss, paper_patches, shuffled, train
+from gfp_grasp.train import Batch, LoopConfig, Reading, chamfer_of_sets, looped_loss, paper_patches, shuffled, train
 
 _MEASURED = 2048  # patches of the validation split
 _CHUNK = 16  # patches whose layers fit into the cache: of 256 at once, a fourth of the time went to the system
@@ -117,7 +117,7 @@ def train_paper_net(
         budget: Steps, batch and seed; the rate is ten times the paper's, as steps are few.
         checkpoint: File that holds the state between runs.
         noise_m: Standard deviation of noise on T, m.
-        reading: Of the loss, as `paper_loss` takes it.
+        reading: How the loss is read, as `paper_loss` takes it.
         until: Step after which to stop for now; None is the whole budget.
 
     Returns:
@@ -154,9 +154,7 @@ def chamfers_mm(network: nn.Module, patches: Batch, iterations: int) -> list[flo
         for _ in range(iterations):
             pairs = zip(source.split(_CHUNK), template.split(_CHUNK), strict=True)
             source = torch.cat([network(s, t, iterations=1) for s, t in pairs])
-            pairwise = torch.cdist(source, target)
-            chamfer = pairwise.amin(dim=2).mean(dim=1) + pairwise.amin(dim=1).mean(dim=1)
-            found.append(round(float((chamfer * unit_m).mean()) * 1000, 4))
+            found.append(round(float((chamfer_of_sets(source, target) * unit_m).mean()) * 1000, 4))
     return found
 
 

@@ -34,8 +34,8 @@ def unpacked(
     """Rows that `bench_completion` takes as known.
 
     Args:
-        records: Of one group.
-        settings: Of that group, with the names of its objects and the number of views.
+        records: Trials of one group.
+        settings: Settings of that group, with the names of its objects and the number of views.
         categories: Class of each object.
     """
     things = [(name, view) for name in settings["objects"] for view in range(settings["views"])]

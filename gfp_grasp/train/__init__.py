@@ -26,7 +26,15 @@ if TYPE_CHECKING:
     from gfp_grasp.train.instances import InstancesConfig, train_instances
     from gfp_grasp.train.loop import Batch, LoopConfig, shuffled, train
     from gfp_grasp.train.openset import SIGHTS, OpenSetConfig, OpenSetRow, openset_rows, train_openset
-    from gfp_grasp.train.paper import PAPER_CONFIGS, Reading, looped_back, looped_loss, paper_loss, train_paper
+    from gfp_grasp.train.paper import (
+        PAPER_CONFIGS,
+        Reading,
+        chamfer_of_sets,
+        looped_back,
+        looped_loss,
+        paper_loss,
+        train_paper,
+    )
     from gfp_grasp.train.paper_data import paper_patches
     from gfp_grasp.train.pcrnet import PCRNET_CONFIG, train_pcrnet
     from gfp_grasp.train.peers import PEER_CONFIGS, PeerConfig, peer_config, train_peer
@@ -66,6 +74,7 @@ __all__ = [
     "build_from_folder",
     "build_from_shapes",
     "build_shipped",
+    "chamfer_of_sets",
     "class_examples",
     "curves_of_cards",
     "draw_things",
@@ -111,7 +120,10 @@ _WITH_TORCH = {
     **dict.fromkeys(("curves_of_cards",), "curves"),
     **dict.fromkeys(("GFPNET_CONFIG", "train_gfpnet"), "gfpnet"),
     **dict.fromkeys(("InstancesConfig", "train_instances"), "instances"),
-    **dict.fromkeys(("PAPER_CONFIGS", "Reading", "looped_back", "looped_loss", "paper_loss", "train_paper"), "paper"),
+    **dict.fromkeys(
+        ("PAPER_CONFIGS", "Reading", "chamfer_of_sets", "looped_back", "looped_loss", "paper_loss", "train_paper"),
+        "paper",
+    ),
     **dict.fromkeys(("paper_patches",), "paper_data"),
     **dict.fromkeys(("Batch", "LoopConfig", "shuffled", "train"), "loop"),
     **dict.fromkeys(("SIGHTS", "OpenSetConfig", "OpenSetRow", "openset_rows", "train_openset"), "openset"),

@@ -52,7 +52,7 @@ def paper_loss(network: Callable[[Tensor, Tensor], Tensor], batch: Batch, *, rea
     """
     source, template, target, _ = batch
     moved = network(source, template).float()
-    chamfer = _chamfer(moved, template if reading == "CD to T" else target).mean()
+    chamfer = chamfer_of_sets(moved, template if reading == "CD to T" else target).mean()
     near = torch.cdist(source, source).topk(_NEIGHBOURS + 1, largest=False).indices[..., 1:]
     if reading == "eq. 3 as printed":
         laplacian = (moved - _lap(moved, near)).norm(dim=-1).mean()
@@ -174,8 +174,8 @@ def measure_paper(network: nn.Module, patches: Batch) -> dict[str, float]:
     with torch.inference_mode():
         for parts in zip(source.split(512), template.split(512), target.split(512), strict=True):
             s, t, wanted = (part.float() for part in parts)
-            before.append(_chamfer(s, wanted))
-            after.append(_chamfer(network(s, t), wanted))
+            before.append(chamfer_of_sets(s, wanted))
+            after.append(chamfer_of_sets(network(s, t), wanted))
     return {
         "val_samples": len(source),
         "cd_before_mm": mean_mm(unit_m * torch.cat(before)),
@@ -183,7 +183,7 @@ def measure_paper(network: nn.Module, patches: Batch) -> dict[str, float]:
     }
 
 
-def _chamfer(a: Tensor, b: Tensor) -> Tensor:
+def chamfer_of_sets(a: Tensor, b: Tensor) -> Tensor:
     """Chamfer distance (b,) of the sets (b, n, 3)."""
     pairwise = torch.cdist(a, b)
     return pairwise.amin(dim=2).mean(dim=1) + pairwise.amin(dim=1).mean(dim=1)
