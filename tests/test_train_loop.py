@@ -4,6 +4,7 @@ import hashlib
 import json
 import stat
 import sys
+import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -52,6 +53,21 @@ def test_the_first_step_of_adam_has_the_length_of_the_rate(tmp_path: Path) -> No
     assert told == [(1, pytest.approx(3000.0))]
     assert state["done"] == 1
     assert state["seconds"] >= 0
+
+
+def test_hours_are_those_of_the_processor_and_go_on_with_a_resumed_run(tmp_path: Path) -> None:
+    def slow(network: nn.Module, batch) -> torch.Tensor:
+        time.sleep(0.5)  # another process has the core
+        end = time.process_time() + 0.1
+        while time.process_time() < end:
+            pass
+        return _steep(network, batch)
+
+    _, _, state = _trained(tmp_path, loss=slow)
+    assert 0.1 <= state["seconds"] < 0.5
+    checkpoint = tmp_path / "new" / "c.pt"
+    _, hours = train(_Weight(), _ones, slow, config=replace(CONFIG, steps=2), checkpoint=checkpoint)
+    assert 0.2 <= 3600 * hours < 0.7
 
 
 def test_weights_decay_by_rate_times_decay(tmp_path: Path) -> None:

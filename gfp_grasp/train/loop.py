@@ -75,7 +75,7 @@ def train(
         report: Told the step and the mean loss since the last report, about every hundredth of the schedule.
 
     Returns:
-        The trained network in evaluation mode, and the hours of wall clock that all runs took.
+        The trained network in evaluation mode, and the hours of a processor core that all runs took.
     """
     network.to(config.device).train()
     optimiser = torch.optim.AdamW(network.parameters(), lr=config.rate, weight_decay=config.weight_decay)
@@ -90,7 +90,7 @@ def train(
         done, seconds = int(state["done"]), float(state["seconds"])
     # The stream is a function of seed and step, so a resumed run does not see the first batches again.
     stream = batches(torch.Generator().manual_seed(config.seed * 1_000_003 + done))
-    start = saved = time.monotonic()
+    saved, start = time.monotonic(), time.process_time()
     summed, count = 0.0, 0
     for step in range(done, last):
         batch = tuple(_ready(part, config.device) for part in next(stream))
@@ -108,8 +108,8 @@ def train(
         now = time.monotonic()
         if now - saved > config.checkpoint_s or step + 1 == last:
             saved = now
-            _save_checkpoint(checkpoint, network, optimiser, schedule, step + 1, seconds + now - start)
-    return network.cpu().eval(), (seconds + time.monotonic() - start) / 3600
+            _save_checkpoint(checkpoint, network, optimiser, schedule, step + 1, seconds + time.process_time() - start)
+    return network.cpu().eval(), (seconds + time.process_time() - start) / 3600
 
 
 def write_weights(
@@ -130,7 +130,7 @@ def write_weights(
         path: Path of the .safetensors file.
         config: Dataclass with the seed and schedule.
         data: What it was trained on.
-        hours: Wall clock.
+        hours: Of a processor core.
         metrics: Measured on data it was not trained on, with the float16 weights.
         extra: More of the card.
         beside: Arrays that the file holds beside the network's, by names of their own.
