@@ -7,7 +7,10 @@ import os
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any
+from typing import IO, Any
+
+import numpy as np
+import numpy.typing as npt
 
 from gfp_grasp.errors import CannotWrite, InvalidOption
 
@@ -90,11 +93,24 @@ def write_whole(path: str | Path, text: str) -> None:
     Raises:
         CannotWrite: There is no room, no right, or no such place.
     """
-    path = Path(path)
+    _replace(Path(path), lambda file: file.write(text.encode()))
+
+
+def write_arrays(path: str | Path, **arrays: npt.ArrayLike) -> None:
+    """Write arrays by their names as a whole .npz file, or leave what was there before.
+
+    Raises:
+        CannotWrite: There is no room, no right, or no such place.
+    """
+    _replace(Path(path), lambda file: np.savez_compressed(file, **arrays))  # pyright: ignore[reportArgumentType]
+
+
+def _replace(path: Path, write: Callable[[IO[bytes]], object]) -> None:
     beside = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        beside.write_text(text, encoding="utf-8")
+        with beside.open("wb") as file:
+            write(file)
         beside.replace(path)
     except OSError as error:
         with suppress(OSError):

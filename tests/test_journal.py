@@ -2,10 +2,11 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from gfp_grasp.errors import CannotWrite, InvalidOption
-from gfp_grasp.journal import Journal, write_whole
+from gfp_grasp.journal import Journal, write_arrays, write_whole
 
 
 def test_a_journal_goes_on_after_the_last_whole_line(tmp_path):
@@ -84,3 +85,23 @@ def test_a_file_that_cannot_take_its_place_leaves_nothing_beside_it(tmp_path):
     with pytest.raises(CannotWrite, match=r"a\.json"):
         write_whole(tmp_path / "a.json", "1")
     assert [path.name for path in tmp_path.iterdir()] == ["a.json"]
+
+
+def test_arrays_are_written_whole_or_not_at_all(tmp_path, monkeypatch):
+    path = tmp_path / "new" / "a.npz"
+    write_arrays(path, low=np.array([1, 2], dtype=np.int16), name=np.array("cup"))
+    with np.load(path) as stored:
+        assert stored["low"].tolist() == [1, 2]
+        assert stored["low"].dtype == np.int16
+        assert str(stored["name"]) == "cup"
+    before = path.read_bytes()
+
+    def full(file, **arrays):
+        file.write(b"half")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(np, "savez_compressed", full)
+    with pytest.raises(CannotWrite, match=r"a\.npz cannot be written \(No space"):
+        write_arrays(path, low=np.zeros(2))
+    assert path.read_bytes() == before
+    assert [file.name for file in path.parent.iterdir()] == ["a.npz"]

@@ -6,7 +6,6 @@ that later calls read.
 
 from __future__ import annotations
 
-import os
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -19,6 +18,7 @@ import trimesh
 from gfp_grasp.camera import SensorModel, apply_sensor, cloud_of, intrinsics, render_mesh_view, sample_viewpoint
 from gfp_grasp.classfree import REACH, channels, grid_around
 from gfp_grasp.errors import TooFewPoints
+from gfp_grasp.journal import write_arrays
 from gfp_grasp.level import make_level_view
 from gfp_grasp.parallel import Progress, pmap
 from gfp_grasp.shapes import FAMILIES, MIXTURES, TRAFFIC, make_mixture, make_shape, split_seeds
@@ -245,10 +245,7 @@ def _make_samples(thing: Thing, *, num_views: int, folder: Path) -> list[tuple[P
                 continue
             number = len(arrays) // 2
             arrays |= {f"known_{number}": sample.known, f"distance_{number}": sample.distance}
-        path.parent.mkdir(parents=True, exist_ok=True)
-        part = path.with_suffix(f".{os.getpid()}.npz")
-        np.savez_compressed(part, count=np.array(len(arrays) // 2), **arrays)  # pyright: ignore[reportArgumentType]
-        part.replace(path)
+        write_arrays(path, count=np.array(len(arrays) // 2), **arrays)
     with np.load(path) as stored:
         return [(path, number) for number in range(int(stored["count"]))]
 

@@ -19,6 +19,7 @@ from gfp_grasp.assets import data_dir
 from gfp_grasp.camera import SensorModel
 from gfp_grasp.detect import InstanceNet, gather_votes, instance_features, level_picture, vote
 from gfp_grasp.errors import InvalidOption
+from gfp_grasp.journal import write_arrays
 from gfp_grasp.parallel import Progress, pmap
 from gfp_grasp.scenes import draw_camera, draw_things, make_room, view_room
 from gfp_grasp.train.loop import Batch, LoopConfig, train, write_weights
@@ -203,11 +204,7 @@ def _render_room(job: tuple[str, int], *, num_views: int, folder: Path) -> Path:
         depths.append(np.round(image.depth_m / _DEPTH_STEP_M).astype(np.uint16))
         labels.append(label.astype(np.uint8))
         cameras.append(image.T_world_camera)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial_path = path.with_suffix(".part")
-    with partial_path.open("wb") as file:
-        np.savez_compressed(file, depth=depths, labels=labels, T_world_camera=cameras, K=image.K)
-    partial_path.replace(path)
+    write_arrays(path, depth=depths, labels=labels, T_world_camera=cameras, K=image.K)
     return path
 
 

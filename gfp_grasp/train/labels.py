@@ -9,7 +9,6 @@ not know where the support is.
 from __future__ import annotations
 
 import hashlib
-import os
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
@@ -19,6 +18,7 @@ from scipy.spatial import KDTree
 
 from gfp_grasp.deform import SnakeConfig, TemplatePoints, evolve, patch_unit_m, template_points
 from gfp_grasp.errors import FitDiverged, TooFewPoints
+from gfp_grasp.journal import write_arrays
 from gfp_grasp.level import make_level_view
 from gfp_grasp.meshes import crossing_faces, sample_surface, vertex_normals
 from gfp_grasp.parallel import pmap
@@ -129,13 +129,11 @@ def _cached_label(view: View, *, folder: Path, fit: FitConfig, library: Primitiv
             without = tuple(str(part) for part in s["without"])
             return Label(str(s["primitive"]), without, vertices, target, template, *rest), "kept"
     label, verdict = _label(view, fit, num_modes, support=support, library=library)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial_path = path.with_suffix(f".{os.getpid()}.npz")
     if label is None:
-        np.savez(partial_path, verdict=verdict)
+        write_arrays(path, verdict=verdict)
     else:
-        np.savez_compressed(
-            partial_path,
+        write_arrays(
+            path,
             verdict=verdict,
             primitive=label.primitive,
             without=np.array(label.without, dtype=str),
@@ -148,7 +146,6 @@ def _cached_label(view: View, *, folder: Path, fit: FitConfig, library: Primitiv
             coefficients=label.coefficients,
             scale=label.scale,
         )
-    partial_path.rename(path)
     return label, verdict
 
 

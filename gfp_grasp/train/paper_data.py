@@ -12,7 +12,6 @@ network does where size is no question; and that of the default registration, on
 from __future__ import annotations
 
 import hashlib
-import os
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
@@ -27,6 +26,7 @@ from scipy.spatial import KDTree
 from gfp_grasp.assets import data_file
 from gfp_grasp.deform import make_patches, patch_unit_m, template_points
 from gfp_grasp.errors import FitDiverged, InvalidOption, TooFewPoints
+from gfp_grasp.journal import write_arrays
 from gfp_grasp.level import make_level_view
 from gfp_grasp.meshes import crossing_faces, sample_surface, vertex_normals
 from gfp_grasp.parallel import pmap
@@ -102,7 +102,7 @@ def _cached_label(source: ObjectSource, *, primitive: GenericPrimitive, folder: 
     path = folder / f"label_{seed_of(source):06d}_{_shape_id(primitive)}.npz"
     if not path.is_file():
         verdict, vertices = _label(source.load_mesh(), primitive, seed_of(source))
-        _save(path, verdict=np.array(verdict), vertices=vertices)
+        write_arrays(path, verdict=np.array(verdict), vertices=vertices)
     with np.load(path) as stored:
         return str(stored["verdict"]), stored["vertices"]
 
@@ -134,7 +134,7 @@ def _cached_rows(view: View, *, primitive: GenericPrimitive, folder: Path) -> li
             verdict_of_fit, rows = (verdict, ()) if verdict != "kept" else _rows(view, primitive, config, label)
             stored[f"{name}_verdict"] = np.array(verdict_of_fit)
             stored |= {f"{name}_{number}": row for number, row in enumerate(rows)}
-        _save(path, **stored)
+        write_arrays(path, **stored)
     with np.load(path) as stored:
         return [
             (str(stored[f"{name}_verdict"]), tuple(stored[f"{name}_{n}"] for n in range(4) if f"{name}_{n}" in stored))
@@ -184,11 +184,3 @@ def _content(weights: str) -> bytes:
 
 def _shape_id(primitive: GenericPrimitive) -> str:
     return str(primitive.card.get("shape_sha256", ""))[:10]
-
-
-def _save(path: Path, **arrays: np.ndarray) -> None:
-    """Write arrays; another process never sees half of the file."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    part = path.with_suffix(f".{os.getpid()}.npz")
-    np.savez_compressed(part, **arrays)  # pyright: ignore[reportArgumentType]
-    part.replace(path)

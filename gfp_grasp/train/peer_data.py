@@ -5,7 +5,6 @@ The truth of a shape, samples of its surface and its signed distances, is made o
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import partial
@@ -15,6 +14,7 @@ import numpy as np
 from scipy import ndimage
 
 from gfp_grasp.classfree import Grid
+from gfp_grasp.journal import write_arrays
 from gfp_grasp.metrics import visible_surface
 from gfp_grasp.parallel import pmap
 from gfp_grasp.peers import Cube, Seen, cell_middles, cube_of_box, cube_of_seen, seen_in, tidied
@@ -74,17 +74,14 @@ def cached_truth(source: ObjectSource, folder: Path) -> Truth:
         nx, ny, nz = (np.ceil(np.ptp(bounds, axis=0) / cell).astype(int) + 2 * _MARGIN + 1).tolist()
         distance = signed_distances(mesh, Grid((x, y, z), cell, (nx, ny, nz)), reach=_REACH)
         points = visible_surface(mesh, _SAMPLES, np.random.default_rng(seed_of(source)))
-        path.parent.mkdir(parents=True, exist_ok=True)
-        part = path.with_suffix(f".{os.getpid()}.npz")
-        np.savez_compressed(
-            part,
+        write_arrays(
+            path,
             points=points.astype(np.float32),
             bounds=bounds,
             origin=np.array([x, y, z]),
             cell_m=np.array(cell),
             distance=distance.astype(np.float16),
         )
-        part.replace(path)
     with np.load(path) as stored:
         nx, ny, nz = stored["distance"].shape
         x, y, z = stored["origin"].tolist()

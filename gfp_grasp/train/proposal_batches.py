@@ -23,6 +23,7 @@ from gfp_grasp.detect import (
     with_surface,
 )
 from gfp_grasp.errors import InvalidOption
+from gfp_grasp.journal import write_arrays
 from gfp_grasp.train.loop import LoopConfig
 from gfp_grasp.train.proposal_data import TABLE, UP, Example, Placed, above_table
 from gfp_grasp.transforms import apply_T, invert_T, rotation_about
@@ -173,7 +174,7 @@ def _pool(examples: Sequence[Example], seed: int, cache: Path) -> tuple[np.ndarr
             cloud = seen_cloud(example, rng)
             units[i] = size_of(cloud[:, :3])
             clouds[i] = np.column_stack([cloud[:, :3] / units[i], cloud[:, 3:]])
-        np.savez(path, clouds=clouds, units=units)
+        write_arrays(path, clouds=clouds, units=units)
     with np.load(path) as stored:
         return stored["clouds"], stored["units"]
 

@@ -15,6 +15,7 @@ from gfp_grasp.camera import HDL_64
 from gfp_grasp.datasets import read_scans
 from gfp_grasp.detect import find_road, inside
 from gfp_grasp.errors import NothingDetected
+from gfp_grasp.journal import write_arrays
 from gfp_grasp.scenes import draw_street, scan_street
 
 _HIGHEST_M = 5.0  # above the road
@@ -106,18 +107,15 @@ def read_street(path: Path) -> StreetScan:
 
 def write_street(path: Path, scan: StreetScan) -> Path:
     """Keep a scan, its places to 2 mm."""
-    path.parent.mkdir(parents=True, exist_ok=True)
-    unfinished = path.with_suffix(".part")
-    with unfinished.open("wb") as file:
-        np.savez(
-            file,
-            points=np.round(scan.points / _STEP_M).astype(np.int16),
-            boxes=scan.boxes,
-            classes=scan.classes,
-            things=scan.things.astype(np.int8),
-            labelled=scan.labelled,
-        )
-    return unfinished.replace(path)
+    write_arrays(
+        path,
+        points=np.round(scan.points / _STEP_M).astype(np.int16),
+        boxes=scan.boxes,
+        classes=scan.classes,
+        things=scan.things.astype(np.int8),
+        labelled=scan.labelled,
+    )
+    return path
 
 
 def _street(points: np.ndarray, boxes: np.ndarray, classes: np.ndarray, labelled: float = np.pi) -> StreetScan:

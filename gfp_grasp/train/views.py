@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 import warnings
 import zlib
 from collections.abc import Callable
@@ -23,6 +22,7 @@ from gfp_grasp.camera import SensorModel, apply_sensor, cloud_of, intrinsics, re
 from gfp_grasp.clouds import thin
 from gfp_grasp.datasets import read_dataset
 from gfp_grasp.errors import InvalidMesh, InvalidOption
+from gfp_grasp.journal import write_arrays
 from gfp_grasp.parallel import pmap
 from gfp_grasp.scenes import ObjectSource
 from gfp_grasp.shapes import split_seeds
@@ -222,23 +222,20 @@ def _load_or_render(
         return []
     if not views:
         return []
-    path.parent.mkdir(parents=True, exist_ok=True)
     write_views(path, views)
     return read_views(path, source)  # in the precision of the cache, as every later run reads them
 
 
 def write_views(path: Path, views: list[View]) -> None:
     """Write views of one shape; another process never sees half of the file."""
-    partial_path = path.with_suffix(f".{os.getpid()}.npz")
-    np.savez_compressed(
-        partial_path,
+    write_arrays(
+        path,
         count=np.array([len(v.points) for v in views]),
         points=np.concatenate([np.zeros((0, 3)), *(v.points for v in views)]).astype(np.float32),
         viewpoint=np.array([v.viewpoint for v in views]),
         T_world_object=np.array([v.T_world_object for v in views]),
         resting=np.array([v.resting for v in views]),
     )
-    partial_path.rename(path)
 
 
 def read_views(path: Path, source: ObjectSource) -> list[View]:
