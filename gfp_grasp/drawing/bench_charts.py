@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from html import escape
+from math import log
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +13,11 @@ from gfp_grasp.journal import write_whole
 # Units of the bars and curves of a bench.
 _METHOD, _GAP, _NAMES, PANEL, _MARGIN = 14, 5, 190, 300, 16
 LINES = ("#1f6f8b", "#d9822b", "#5b8c3e", "#8e4585", "#7a7a7a")
-OURS, OTHER, WRONG, INK = "#1f6f8b", "#b9c4cb", "#c8553d", "#22303a"
+OURS, OTHER, WRONG, INK, PALE = "#1f6f8b", "#b9c4cb", "#c8553d", "#22303a", "#e4e8eb"
 # Units of the squares of a confusion.
 _CELL, _CLASS_NAMES, _HEAD = 26, 110, 150
 _WHISKER = 22
+_MOST_TICKS = 6
 _LEAST_TOLD = 0.05  # a smaller share is a tint without a number
 
 
@@ -123,7 +125,7 @@ def write_margins(sets: Mapping[str, Mapping[str, Mapping[str, Any]]], path: Pat
         bottom = top + len(methods) * _WHISKER
         for octave in range(int(most) + 1):
             x = left + wide * octave / most
-            lines.append(f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{top - 8}" y2="{bottom}" stroke="#e4e8eb"/>')
+            lines.append(f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{top - 8}" y2="{bottom}" stroke="{PALE}"/>')
             lines.append(chart_text(x, bottom + 14, str(octave), anchor="middle"))
         for row, method in enumerate(methods):
             y, figures = top + (row + 0.5) * _WHISKER, rows[method]
@@ -168,7 +170,7 @@ def write_confusion(rows: Mapping[str, Sequence[float]], columns: Sequence[str],
             share, colour = count / total, OURS if name == true else WRONG
             lines.append(
                 f'<rect x="{_CLASS_NAMES + column * _CELL}" y="{top}" width="{_CELL}" height="{_CELL}" '
-                f'fill="{colour}" fill-opacity="{share:.3f}" stroke="#e4e8eb"/>'
+                f'fill="{colour}" fill-opacity="{share:.3f}" stroke="{PALE}"/>'
             )
             if share >= _LEAST_TOLD:
                 ink = "white" if share > 0.6 else INK
@@ -206,3 +208,14 @@ def chart_text(x: float, y: float, words: str, *, size: int = 12, weight: str = 
         f'<text x="{x:.1f}" y="{y:.1f}" font-size="{size}" font-weight="{weight}" text-anchor="{anchor}">'
         f"{escape(words)}</text>"
     )
+
+
+def log_axis(values: Sequence[float], start: float, end: float) -> tuple[Callable[[float], float], list[float]]:
+    """Where positive values lie on a logarithmic axis between two places, and round values to mark on it."""
+    low, high = 0.85 * min(values), 1.18 * max(values)
+    ticks = [m * 10.0**power for power in range(-6, 6) for m in (1, 2, 5) if low <= m * 10.0**power <= high]
+    if len(ticks) > _MOST_TICKS:
+        ticks = [tick for tick in ticks if f"{tick:e}".startswith("1")]
+    if len(ticks) < 2:
+        ticks = [float(f"{end_value:.2g}") for end_value in (min(values), max(values))]
+    return lambda value: start + (end - start) * log(value / low) / log(high / low), ticks

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
-from gfp_grasp.drawing.bench_charts import LINES, OTHER, OURS, PANEL, WRONG, chart_text, write_chart
+from gfp_grasp.drawing.bench_charts import LINES, OTHER, OURS, PALE, PANEL, WRONG, chart_text, write_chart
 
 _DOT, _LISTED = 4.5, 20
 _AROUND = 0.06  # share of a range that is left free at both of its ends
@@ -82,7 +82,7 @@ def write_front(
     lines = [chart_text(left + wide / 2, ground + 40, "one call for all patches of a primitive, ms", anchor="middle")]
     for value in across.marks:
         x = left + wide * across.share(value)
-        lines.append(f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{top}" y2="{ground}" stroke="#e4e8eb"/>')
+        lines.append(f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{top}" y2="{ground}" stroke="{PALE}"/>')
         lines.append(chart_text(x, ground + 18, f"{value:g}", anchor="middle"))
     lines += _levels(up, left, wide, ground, down)
     for x, y in map(at, trials):
@@ -116,7 +116,7 @@ def _levels(scale: _Scale, left: float, wide: float, ground: float, down: float)
     lines = []
     for value in scale.marks:
         y = ground - down * scale.share(value)
-        lines.append(f'<line x1="{left}" x2="{left + wide}" y1="{y:.1f}" y2="{y:.1f}" stroke="#e4e8eb"/>')
+        lines.append(f'<line x1="{left}" x2="{left + wide}" y1="{y:.1f}" y2="{y:.1f}" stroke="{PALE}"/>')
         lines.append(chart_text(left - 6, y + 4, f"{value:g}", anchor="end"))
     return lines
 

@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 
-import numpy as np
-
-from gfp_grasp.drawing.bench_charts import chart_text, write_chart
+from gfp_grasp.drawing.bench_charts import PALE, chart_text, log_axis, write_chart
 from gfp_grasp.peers import PEERS, TRUE_BOX
 
 Figures = Mapping[str, Mapping[str, Mapping]]
@@ -15,7 +13,6 @@ _NAMES, _PANEL, _GAP, _MARGIN = 184, 150, 26, 16
 _ROW, _TOP = 19, 84
 _CURVES, _CURVES_WIDE = 300, 780
 _LABEL = 14
-_MOST_TICKS = 6
 _OURS = "gfpnet"
 _COLOURS: Mapping[str, str] = {
     _OURS: "#1f6f8b",
@@ -23,7 +20,7 @@ _COLOURS: Mapping[str, str] = {
     "told-pcrnet-gfpnet-paper": "#d9822b",
     **dict(zip(PEERS, ("#8e4585", "#c8553d", "#b39b1f", "#3f51a3", "#7b5a3c", "#d070a0"), strict=True)),
 }
-_OTHER, _PALE = "#7a7a7a", "#e4e8eb"
+_OTHER = "#7a7a7a"
 # Curves of what is hidden: others lie beside these.
 _CURVED = ("partial", *_COLOURS)
 
@@ -63,10 +60,10 @@ def _panel(group: str, figures: Mapping[str, Mapping], rows: list[str], *, left:
     if not found:
         return lines
     bottom = _TOP + len(rows) * _ROW
-    place, ticks = _log_axis(list(found.values()), left, left + _PANEL)
+    place, ticks = log_axis(list(found.values()), left, left + _PANEL)
     for tick in ticks:
         x = place(tick)
-        lines.append(f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{_TOP - 6}" y2="{bottom}" stroke="{_PALE}"/>')
+        lines.append(f'<line x1="{x:.1f}" x2="{x:.1f}" y1="{_TOP - 6}" y2="{bottom}" stroke="{PALE}"/>')
         lines.append(chart_text(x, bottom + 14, f"{tick:g}", anchor="middle", size=11))
     for name, value in found.items():
         base = name.removesuffix(TRUE_BOX)
@@ -89,10 +86,10 @@ def _curves(occlusion: Figures, *, top: float) -> list[str]:
     lines = [chart_text(_NAMES, top - 14, "over the hidden share of the object's pixels", weight="bold")]
     if not shown:
         return lines
-    place, ticks = _log_axis([value for points in shown.values() for _, value in points], bottom, top)
+    place, ticks = log_axis([value for points in shown.values() for _, value in points], bottom, top)
     for tick in ticks:
         y = place(tick)
-        lines.append(f'<line x1="{_NAMES}" x2="{right}" y1="{y:.1f}" y2="{y:.1f}" stroke="{_PALE}"/>')
+        lines.append(f'<line x1="{_NAMES}" x2="{right}" y1="{y:.1f}" y2="{y:.1f}" stroke="{PALE}"/>')
         lines.append(chart_text(_NAMES - 8, y + 4, f"{tick:g}", anchor="end", size=11))
     for share in shares:
         x = _NAMES + _CURVES_WIDE * share / furthest
@@ -109,17 +106,6 @@ def _curves(occlusion: Figures, *, top: float) -> list[str]:
         lines.append(f'<path d="M{right + 3},{ends[name]:.1f} L{right + 18},{y:.1f}" stroke="{colour}" fill="none"/>')
         lines.append(f'<g fill="{colour}">{chart_text(right + 22, y + 4, name, weight=weight)}</g>')
     return lines
-
-
-def _log_axis(values: list[float], start: float, end: float) -> tuple[Callable[[float], float], list[float]]:
-    """Where values lie on a logarithmic axis between two places, and round values to mark on it."""
-    low, high = 0.85 * min(values), 1.18 * max(values)
-    steps = [factor * 10.0**power for power in range(-3, 6) for factor in (1, 2, 5)]
-    ticks = [step for step in steps if low <= step <= high]
-    if len(ticks) > _MOST_TICKS:
-        ticks = [tick for tick in ticks if f"{tick:e}".startswith("1")]
-    span = np.log(high / low)
-    return lambda value: start + (end - start) * float(np.log(value / low) / span), ticks
 
 
 def _spread(ends: Mapping[str, float], top: float, bottom: float) -> dict[str, float]:
