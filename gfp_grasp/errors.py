@@ -30,7 +30,7 @@ class FitDiverged(GfpGraspError):
 
 
 class NoSurface(GfpGraspError):
-    """The class-free completion finds nothing solid around the points."""
+    """A network that completes finds nothing solid around the points."""
 
 
 class InvalidMesh(GfpGraspError, ValueError):

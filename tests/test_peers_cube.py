@@ -6,8 +6,6 @@ import trimesh
 from scipy.spatial import KDTree
 
 from gfp_grasp.peers import (
-    ENLARGED,
-    ENLARGED_TRUE,
     Cube,
     Seen,
     cell_middles,
@@ -43,11 +41,11 @@ def front_of_ball(radius: float = 0.25) -> Seen:
 
 def test_the_cube_of_what_was_seen_stands_upright_faces_the_viewer_and_has_its_room_behind() -> None:
     cube = cube_of_seen(front_of_cylinder(), UP)
-    assert cube.side_m == pytest.approx(ENLARGED * 0.12, rel=0.02)
+    assert cube.side_m == pytest.approx(1.5 * 0.12, rel=0.02)
     np.testing.assert_allclose(cube.T_world_cube[:3, :3], np.eye(3), atol=1e-9)
     inside = cube.inward(front_of_cylinder().points)
     np.testing.assert_allclose(inside[:, 1:].min(axis=0) + inside[:, 1:].max(axis=0), 0, atol=0.01)
-    assert 0.5 - inside[:, 0].max() == pytest.approx(0.125 / ENLARGED, abs=0.005)
+    assert 0.5 - inside[:, 0].max() == pytest.approx(0.125 / 1.5, abs=0.005)
     assert cube.inward(np.array([[-0.04, 0.0, 0.06]]))[0, 0] > -0.5  # the side that nobody saw
 
 
@@ -82,9 +80,9 @@ def test_the_true_box_lies_along_the_objects_own_axes_and_its_cube_holds_all_of_
     box = true_box(mesh, T)
     np.testing.assert_allclose(box.extents, (0.1, 0.06, 0.2))
     cube = cube_of_box(box)
-    assert cube.side_m == pytest.approx(ENLARGED_TRUE * 0.2)
+    assert cube.side_m == pytest.approx(1.1 * 0.2)
     corners = cube.inward(apply_T(T, np.asarray(mesh.vertices)))
-    np.testing.assert_allclose(np.abs(corners).max(axis=0), np.array([0.1, 0.06, 0.2]) / 0.4 / ENLARGED_TRUE)
+    np.testing.assert_allclose(np.abs(corners).max(axis=0), np.array([0.1, 0.06, 0.2]) / 0.4 / 1.1)
 
 
 def test_a_fixed_number_of_points_is_taken_from_many_and_made_of_few() -> None:
@@ -112,7 +110,7 @@ def test_distances_are_those_to_the_points_up_to_their_reach() -> None:
     assert (distance_to_points(points + 5.0, 32, reach=3.0) == 3.0).all()
 
 
-def test_cells_before_and_beside_what_was_seen_are_empty_and_those_behind_are_unknown() -> None:
+def test_cells_before_what_was_seen_are_empty_and_those_behind_and_beside_it_are_unknown() -> None:
     seen = front_of_ball()
     empty = empty_cells(seen, 32).ravel()
     middles = cell_middles(32)
@@ -120,7 +118,7 @@ def test_cells_before_and_beside_what_was_seen_are_empty_and_those_behind_are_un
     beside = np.linalg.norm(middles[:, 1:], axis=1)
     assert not empty[radius < 0.25 - 1 / 32].any()
     assert empty[(middles[:, 0] > 0.3) & (beside < 0.2)].all()
-    assert empty[(beside > 0.4)].all()
+    assert not empty[(beside > 0.3)].any()
     assert not empty[(middles[:, 0] < 0.1) & (beside < 0.2)].any()
 
 

@@ -75,7 +75,7 @@ def test_the_truth_is_made_once_and_lies_where_the_object_stands(view: PeerView,
     np.testing.assert_array_equal(again.distance, view.truth.distance)
     points = apply_T(view.view.T_world_object, view.truth.points)
     assert np.median(KDTree(points).query(view.view.points)[0]) < 0.02 * view.truth.box(np.eye(4)).extents.max()
-    assert np.abs(view.truth.distances_m(view.truth.points)).max() < 2 * view.truth.grid.cell_m
+    assert np.abs(view.truth.distances(view.truth.points, view.truth.grid.cell_m)).max() < 2
     near = KDTree(view.view.points).query(view.cube.outward(view.seen.points))[0]
     np.testing.assert_allclose(near, 0, atol=1e-9)
 
@@ -91,6 +91,20 @@ def test_signed_distances_in_the_cube_are_those_of_the_true_mesh(view: PeerView)
     assert np.abs(to_surface + cells[tuple(inside.T)]).mean() < 0.6
     far = cells[0, 0, 0]
     assert far == pytest.approx(32 * KDTree(view.points()).query([[-0.484, -0.484, -0.484]])[0][0], rel=0.1)
+
+
+@pytest.mark.parametrize("resolution", [32, 40])
+@pytest.mark.parametrize("true_box", [False, True])
+def test_a_thin_wall_is_thick_enough_for_each_peers_own_grid(folder: Path, resolution: int, true_box: bool) -> None:
+    """A drinking glass: hardly a place of its surface is without a cell of the inside near it."""
+    source = shape_source("glass", 5)
+    view = in_cube(render_views(source, num_views=1)[0], cached_truth(source, folder), true_box=true_box)
+    distance = view.distances(resolution)
+    inside = (np.argwhere(distance < 0) + 0.5) / resolution - 0.5
+    away = resolution * KDTree(inside).query(view.points())[0]
+    assert (away > 1.2).mean() < 0.002
+    solid = view.view.source.load_mesh().volume * (resolution / view.cube.side_m) ** 3
+    assert len(inside) < 2.1 * solid  # and it is not thicker than it need be
 
 
 def test_a_mirrored_batch_is_the_mirror_image(view: PeerView) -> None:
@@ -207,7 +221,7 @@ def test_batches_go_on_without_end_and_are_the_same_for_a_seed(view: PeerView) -
 def test_the_true_box_goes_on_for_a_quarter_at_a_quarter_of_the_rate() -> None:
     metric, boxed = (peer_config("3d-sc", true_box=true_box) for true_box in (False, True))
     assert metric == PEER_CONFIGS["3d-sc"]
-    assert boxed == replace(metric, steps=metric.steps // 4, rate=metric.rate / 4, prior_share=0.0)
+    assert boxed == replace(metric, steps=metric.steps // 4, rate=metric.rate / 4)
     with pytest.raises(InvalidOption, match="no peer 'magic'"):
         peer_config("magic", true_box=True)
 
@@ -229,6 +243,43 @@ def test_the_true_box_starts_from_the_weights_of_the_metric_way(tmp_path: Path, 
     assert json.loads(path.read_text(encoding="utf-8"))["data"]["start"] == "peer_pcn"
     for key, tensor in read_network("pcn", tmp_path / "own.safetensors").state_dict().items():
         torch.testing.assert_close(tensor, metric.state_dict()[key], atol=1e-3, rtol=1e-3)
+
+
+def test_in_the_true_box_the_prior_goes_on_too_before_the_encoder_does(tmp_path: Path, monkeypatch) -> None:
+    torch.manual_seed(7)
+    metric = make_network("3d-sc").eval()
+    monkeypatch.setattr(peers, "load_network", lambda name, *, true_box: metric)
+    config = replace(SMALL, steps=4, rate=1e-2, prior_share=0.5)
+    path = train_peer(
+        "3d-sc", true_box=True, config=config, classes=["bowl"], out=tmp_path / "own.safetensors", runs=tmp_path
+    )
+    card = json.loads(path.read_text(encoding="utf-8"))
+    assert [len(card[key]) for key in ("learning_curve_of_prior", "learning_curve")] == [2, 2]
+    own, before = read_network("3d-sc", tmp_path / "own.safetensors").state_dict(), metric.state_dict()
+    for part in ("encode.last.bias", "decode.last.bias"):  # Adam's steps: at most the rate each
+        moved = (own[part] - before[part]).abs().max()
+        assert 5e-3 < float(moved) < 2.5e-2
+
+
+def test_a_training_of_other_weights_or_views_is_another_one(tmp_path: Path, monkeypatch) -> None:
+    torch.manual_seed(7)
+    metric = make_network("topnet").eval()
+    monkeypatch.setattr(peers, "load_network", lambda name, *, true_box: metric)
+    how = {"true_box": True, "config": replace(SMALL, steps=1), "classes": ["bowl"], "runs": tmp_path}
+    kept = lambda: len(list((tmp_path / "peers").glob("*.pt")))  # noqa: E731
+    train_peer("topnet", out=tmp_path / "a.safetensors", **how)
+    train_peer("topnet", out=tmp_path / "a.safetensors", **how)
+    assert kept() == 1
+    with torch.no_grad():
+        next(iter(metric.parameters())).add_(0.25)
+    train_peer("topnet", out=tmp_path / "b.safetensors", **how)
+    assert kept() == 2
+    for path in (tmp_path / "truths").rglob("*.npz"):
+        with np.load(path) as stored:
+            parts = dict(stored)
+        np.savez(path, **{**parts, "points": parts["points"] + np.float32(0.001)})
+    train_peer("topnet", out=tmp_path / "c.safetensors", **how)
+    assert kept() == 3
 
 
 def test_the_true_box_needs_the_weights_of_the_metric_way(tmp_path: Path, monkeypatch) -> None:
@@ -257,6 +308,7 @@ def test_a_run_writes_weights_that_load_and_a_card_that_says_how(name: str, tmp_
     assert steps == (both if name == "3d-sc" else {"learning_curve": [1, 2, 3, 4]})
     assert all(np.isfinite(point).all() for point in card["learning_curve"])
     assert card["metrics"]["val"]["views"] == 2
+    assert ("points_cd_m" in card["metrics"]["val"]) == (name == "topnet")
     network = read_network(name, out)
     val = peer_views(["bowl", "car"], "val", members=1, num_views=1, true_box=true_box, runs=tmp_path)
     assert measure_peer(name, network, val, true_box=true_box) == card["metrics"]["val"]

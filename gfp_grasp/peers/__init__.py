@@ -3,8 +3,8 @@
 from importlib import import_module
 from typing import TYPE_CHECKING
 
-from gfp_grasp.peers.catalogue import PEERS, TRUE_BOX, Peer, check_trained, get_peer, weights_stem
-from gfp_grasp.peers.cube import ENLARGED, ENLARGED_TRUE, Cube, cube_of_box, cube_of_seen, tidied, true_box
+from gfp_grasp.peers.catalogue import PEERS, TRUE_BOX, check_trained, get_peer, weights_stem
+from gfp_grasp.peers.cube import Cube, cube_of_box, cube_of_seen, tidied, true_box
 from gfp_grasp.peers.seen import Seen, cell_middles, seen_in
 
 if TYPE_CHECKING:
@@ -16,14 +16,11 @@ if TYPE_CHECKING:
     from gfp_grasp.peers.weights import load_network, make_network, network_class, read_network
 
 __all__ = [
-    "ENLARGED",
-    "ENLARGED_TRUE",
     "NUM_INPUT",
     "PEERS",
     "TRUE_BOX",
     "AmortisedFit",
     "Cube",
-    "Peer",
     "PeerNetwork",
     "PointNetwork",
     "Seen",

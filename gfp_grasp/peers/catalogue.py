@@ -1,9 +1,8 @@
-"""The peers by name: what each of them is, where it was published, and the file that its weights are in."""
+"""The peers by name: where each of them is, and the file that its weights are in."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 
 from gfp_grasp.assets import data_dir
 from gfp_grasp.errors import InvalidOption, NotTrained
@@ -11,35 +10,19 @@ from gfp_grasp.errors import InvalidOption, NotTrained
 TRUE_BOX = "-true-box"  # what a completer's name ends in that is told the true box
 
 
-@dataclass(frozen=True)
-class Peer:
-    """Another completion network.
-
-    Attributes:
-        title: What it is called in print.
-        source: Where it was published.
-        network: Module of this room and class in it.
-    """
-
-    title: str
-    source: str
-    network: tuple[str, str]
-
-
-PEERS: Mapping[str, Peer] = {
-    "pcn": Peer("PCN", "arXiv:1808.00671", ("pcn", "PCN")),
-    "foldingnet": Peer("FoldingNet's decoder", "arXiv:1712.07262", ("foldingnet", "FoldingNet")),
-    "topnet": Peer("TopNet", "CVPR 2019, 10.1109/CVPR.2019.00047", ("topnet", "TopNet")),
-    "3d-epn": Peer("3D-EPN", "arXiv:1612.00101", ("epn", "EncoderPredictor")),
-    "3d-sc": Peer(
-        "3D shape completion by amortised maximum likelihood", "CVPR 2018, arXiv:1805.07290", ("sc", "AmortisedFit")
-    ),
-    "scrg": Peer("Shape completion enabled robotic grasping", "arXiv:1609.08546", ("scrg", "VoxelCompletion")),
+# Module of this room, whose head says where the network was published and what is smaller here, and class in it.
+PEERS: Mapping[str, tuple[str, str]] = {
+    "pcn": ("pcn", "PCN"),
+    "foldingnet": ("foldingnet", "FoldingNet"),
+    "topnet": ("topnet", "TopNet"),
+    "3d-epn": ("epn", "EncoderPredictor"),
+    "3d-sc": ("sc", "AmortisedFit"),
+    "scrg": ("scrg", "VoxelCompletion"),
 }
 
 
-def get_peer(name: str) -> Peer:
-    """The peer of a name.
+def get_peer(name: str) -> tuple[str, str]:
+    """Module and class of a peer's network.
 
     Raises:
         InvalidOption: No such peer; the message lists those that there are.

@@ -49,5 +49,7 @@ def complete_by_peer(
     surface = network.surface(seen_in(cube, cloud))
     mesh = trimesh.Trimesh(cube.outward(np.asarray(surface.vertices)), np.asarray(surface.faces), process=False)
     if not mesh.is_volume:
-        raise NoSurface(f"the surface of the peer {name!r} encloses no volume: is its network trained?")
+        raise NoSurface(
+            f"the surface of the peer {name!r} is no watertight volume: try other views, or another completer"
+        )
     return replace(mark_shape(mesh, detection), made_by="peer")

@@ -18,10 +18,10 @@ from gfp_grasp.types import OrientedBox, PointCloud
 
 # The cube around what was seen is so many times as long as the longest side of its upright box; its face towards the
 # viewer lies this share of that side before the nearest points, so that the room that is left is behind.
-ENLARGED = 1.5
+_ENLARGED = 1.5
 _IN_FRONT = 0.125
 # The cube around the true box is so many times as long as the box's longest side: surfaces stay clear of its faces.
-ENLARGED_TRUE = 1.1
+_ENLARGED_TRUE = 1.1
 _OUTLIERS = 0.005  # share of the points, at either end, that the box leaves out
 _NUM_POINTS = 3000  # points that a peer looks at
 _NEIGHBOUR = 8  # A point is astray whose distance to this neighbour is
@@ -73,7 +73,7 @@ def cube_of_seen(cloud: PointCloud, up: np.ndarray) -> Cube:
     level = apply_T(invert_T(T), cloud.points)
     low, high = np.quantile(level, [_OUTLIERS, 1 - _OUTLIERS], axis=0)
     longest = max(float((high - low).max()), _LEAST_M)
-    side, middle = ENLARGED * longest, (low + high) / 2
+    side, middle = _ENLARGED * longest, (low + high) / 2
     if cloud.viewpoint is not None:
         middle[0] = high[0] + _IN_FRONT * longest - side / 2
     return Cube(make_T(T[:3, :3], apply_T(T, middle[None])[0]), side)
@@ -81,7 +81,7 @@ def cube_of_seen(cloud: PointCloud, up: np.ndarray) -> Cube:
 
 def cube_of_box(box: OrientedBox) -> Cube:
     """The cube around a true box, along the box's axes."""
-    return Cube(box.T_world_box, max(ENLARGED_TRUE * float(box.extents.max()), _LEAST_M))
+    return Cube(box.T_world_box, max(_ENLARGED_TRUE * float(box.extents.max()), _LEAST_M))
 
 
 def true_box(mesh: trimesh.Trimesh, T_world_object: np.ndarray) -> OrientedBox:

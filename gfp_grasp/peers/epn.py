@@ -2,7 +2,9 @@
 
 Source: A. Dai, C. Qi and M. Niessner, Shape Completion using 3D-Encoder-Predictor CNNs and Shape Synthesis,
 arXiv:1612.00101, section 4. Its first layer has 80 channels; this has 12, for a CPU. Neither its classification of the
-shape nor the later synthesis from retrieved models is here. The mesh is the skin of the distances.
+shape nor the later synthesis from retrieved models is here, nor are distances to learn truncated. It normalises after
+the first layer and not after the last of the encoder, and objects are not shifted in training. The mesh is the skin of
+the distances.
 Letters: b grids, c channels, x, y, z cells.
 """
 
@@ -40,7 +42,7 @@ class EncoderPredictor(PeerNetwork):
     def given(seen: Seen) -> np.ndarray:
         """(2, x, y, z): distances to the seen points, truncated, in cells; 1 where a cell is known and -1 elsewhere.
 
-        Cells are known before the seen surface and beside its silhouette.
+        Cells before the seen surface are known.
         """
         distance = distance_to_points(seen.points, RESOLUTION, reach=TRUNCATION)
         known = np.where(empty_cells(seen, RESOLUTION), 1.0, -1.0)

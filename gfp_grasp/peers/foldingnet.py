@@ -1,7 +1,8 @@
 """FoldingNet's decoder as a completion: a square grid that a code folds twice.
 
 Source: Y. Yang et al., FoldingNet, arXiv:1712.07262, section 3.2; with PCN's encoder, as PCN's and TopNet's papers
-compare it. Its foldings have 512 channels; these have 256, for a CPU.
+compare it. Its foldings have 512 channels; these have 256, for a CPU. Its loss is the larger way of the Chamfer
+distance; here, as for the others, it is the sum of both.
 Letters: b clouds, n points, g places of the grid.
 """
 

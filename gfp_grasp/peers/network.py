@@ -53,11 +53,14 @@ class PointNetwork(PeerNetwork):
     def forward(self, points: Tensor) -> tuple[Tensor, ...]:
         """Point sets (b, m, 3) from coarse to fine, of points (b, n, 3)."""
 
+    def finest(self, seen: Seen) -> np.ndarray:
+        """(m, 3) finest points, in sides of the cube."""
+        with torch.inference_mode():
+            return self(self.batch_of(seen))[-1][0].double().cpu().numpy()
+
     def surface(self, seen: Seen) -> trimesh.Trimesh:
         """The skin of the finest points."""
-        with torch.inference_mode():
-            points = self(self.batch_of(seen))[-1][0]
-        return skin_of_points(points.double().cpu().numpy())
+        return skin_of_points(self.finest(seen))
 
 
 class Exact(nn.Linear):

@@ -1,8 +1,9 @@
 """PCN: a coarse cloud from a code, and around each of its points a folded patch.
 
 Source: W. Yuan et al., PCN: Point Completion Network, arXiv:1808.00671, section 4. It has 1024 coarse and 16384 fine
-points and 512 channels; this has 256, 2304 and 256, for a CPU. Its coarse cloud is trained with the earth mover's
-distance; here both are trained with the Chamfer distance.
+points and 512 channels; this has 256, 2304 and 256, for a CPU, and two full layers before the coarse cloud in place of
+three. Its coarse cloud is trained with the earth mover's distance, and the fine one counts more as time goes by; here
+both are trained with the Chamfer distance, and count alike.
 Letters: b clouds, n points, k coarse points, g places of a patch.
 """
 

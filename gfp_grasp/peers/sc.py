@@ -5,7 +5,8 @@ give the code whose shape makes what was seen likeliest; it never sees what the 
 
 Source: D. Stutz and A. Geiger, Learning 3D Shape Completion from Laser Scan Data with Weak Supervision, CVPR 2018, and
 Learning 3D Shape Completion under Weak Supervision, arXiv:1805.07290, sections 3 and 4.2. A code has 64 numbers instead
-of 10, because one prior is learnt for all classes.
+of 10, because one prior is learnt for all classes; layers have 16 to 64 channels, for a CPU. Prior and encoder learn
+from the same shapes, which are not shifted.
 Letters: b grids, c channels, x, y, z cells, q numbers of a code.
 """
 

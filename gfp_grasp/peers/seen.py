@@ -94,10 +94,10 @@ def distance_to_points(points: np.ndarray, resolution: int, *, reach: float) -> 
 
 
 def empty_cells(seen: Seen, resolution: int) -> np.ndarray:
-    """(x, y, z) bool, cells that are known to be empty: before the points, and beside their silhouette.
+    """(x, y, z) bool, cells that are known to be empty: those before the points.
 
-    A picture with pixels as wide as a cell is made of the points, and small holes in it are closed. Without a viewpoint
-    nothing is known.
+    A picture with pixels as wide as a cell is made of the points, and small holes in it are closed. Beside the points
+    nothing is known, as an occluder may stand there; nor is anything without a viewpoint.
     """
     shape = 3 * (resolution,)
     if seen.viewpoint is None or np.linalg.norm(seen.viewpoint) < _LEAST_DEPTH:
@@ -113,7 +113,7 @@ def empty_cells(seen: Seen, resolution: int) -> np.ndarray:
     if not own.any():
         return np.zeros(shape, dtype=bool)
     filled = ndimage.distance_transform_edt(np.isinf(nearest), return_distances=False, return_indices=True)
-    surface = np.where(own, nearest[tuple(np.asarray(filled))], np.inf)
+    surface = np.where(own, nearest[tuple(np.asarray(filled))], -np.inf)
     before = cells_m < np.append(surface, -np.inf)[of_cells] - _MARGIN / resolution
     return before.reshape(shape)
 

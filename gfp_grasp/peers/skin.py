@@ -114,9 +114,8 @@ def _sealed(distance: np.ndarray, origin: np.ndarray, cell: float, *, level: flo
     distance = np.pad(distance, 1, constant_values=float(max(distance.max(), seal + cell)))
     pieces = np.empty(distance.shape, dtype=np.int32)
     ndimage.label(distance >= seal, output=pieces)
-    sealed = (pieces > 0) & (pieces != pieces[0, 0, 0])
-    if seal > level and sealed.any():  # and what lies between that and the skin
-        near = np.asarray(ndimage.distance_transform_edt(~sealed)) <= (seal - level) / cell + 1
-        sealed |= near & (distance >= level)
+    # What lies between that and the skin belongs to the nearer side.
+    nearest = ndimage.distance_transform_edt(pieces == 0, return_distances=False, return_indices=True)
+    sealed = (distance >= level) & (pieces[tuple(np.asarray(nearest))] != pieces[0, 0, 0])
     field = np.where(sealed, -np.abs(distance - level) - cell, distance - level)
     return outer_bodies(surface_net(field, origin=origin - cell, cell_m=cell))

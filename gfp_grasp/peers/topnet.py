@@ -1,7 +1,8 @@
 """TopNet: a tree whose leaves are the points; each node makes its children from its feature and the code.
 
 Source: L. Tchapmi et al., TopNet: Structural Point Cloud Decoder, CVPR 2019, section 4. Levels, features of 8 numbers
-and 2048 leaves are the paper's; the code has 384 numbers instead of 1024, for a CPU.
+and 2048 leaves are the paper's; the code has 384 numbers instead of 1024, the layers of a level 256 and 64, and none
+is normalised, for a CPU.
 Letters: b clouds, n points, k nodes.
 """
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 
@@ -27,11 +27,11 @@ def network_class(name: str) -> type[PeerNetwork]:
     Raises:
         InvalidOption: No such peer.
     """
-    module, network = get_peer(name).network
+    module, network = get_peer(name)
     return getattr(import_module(f"gfp_grasp.peers.{module}"), network)
 
 
-@lru_cache(maxsize=4)
+@cache
 def load_network(name: str, *, true_box: bool) -> PeerNetwork:
     """The shipped network of a peer, in evaluation mode, loaded once.
 

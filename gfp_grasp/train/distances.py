@@ -18,7 +18,7 @@ _BESIDE = 1e-4  # cells: columns pass vertices and edges, and do not hit them
 
 
 def signed_distances(mesh: trimesh.Trimesh, grid: Grid, *, reach: float) -> np.ndarray:
-    """Distances of the middles of a grid's cells from a solid's surface, in cells.
+    """Distances of the middles of a grid's cells from a solid's surface, in cells, thin walls `thickened`.
 
     Args:
         mesh: Watertight, outward, without bodies that reach into each other; in the grid's frame.
@@ -26,18 +26,30 @@ def signed_distances(mesh: trimesh.Trimesh, grid: Grid, *, reach: float) -> np.n
         reach: Distances are cut off there, cells.
 
     Returns:
-        (x, y, z) float32, negative inside, from -reach to reach. Both sides of a wall thinner than THINNEST cells are
-        moved outward until it is as thick.
+        (x, y, z) float32, negative inside, from -reach to reach.
+    """
+    return np.clip(thickened(*distances_and_walls(mesh, grid)), -reach, reach).astype(np.float32)
+
+
+def thickened(distance: np.ndarray, wall: np.ndarray) -> np.ndarray:
+    """Signed distances (...) in cells, both sides of a wall (...) thinner than THINNEST cells moved apart to that."""
+    return distance - np.maximum(THINNEST - wall, 0) / 2
+
+
+def distances_and_walls(mesh: trimesh.Trimesh, grid: Grid) -> tuple[np.ndarray, np.ndarray]:
+    """Signed distances (x, y, z) from a solid, and the thickness (x, y, z) of its wall where it is nearest, in cells.
+
+    Args:
+        mesh: Watertight, outward, without bodies that reach into each other; in the grid's frame.
+        grid: The cells.
     """
     vertices = grid.cells(np.asarray(mesh.vertices))
     faces = np.asarray(mesh.faces)
     inside = _inside(vertices[faces], grid.shape)
     solid = trimesh.Trimesh(vertices, faces, process=False)
     samples, normals, faces_of = sample_surface(solid, _SAMPLES, np.random.default_rng(0))
-    grown = np.maximum(THINNEST - _thickness(solid, samples, normals), 0) / 2
     distance, near = _to_surface(samples, vertices[faces][faces_of], grid.shape)
-    signed = np.where(inside, -distance, distance) - grown[near]
-    return np.clip(signed, -reach, reach).astype(np.float32)
+    return np.where(inside, -distance, distance), _thickness(solid, samples, normals)[near]
 
 
 def _to_surface(

@@ -20,17 +20,16 @@ from gfp_grasp.parallel import pmap
 from gfp_grasp.peers import Cube, Seen, cell_middles, cube_of_box, cube_of_seen, seen_in, tidied
 from gfp_grasp.scenes import ObjectSource
 from gfp_grasp.train.by_sensor import class_views
-from gfp_grasp.train.distances import signed_distances
+from gfp_grasp.train.distances import distances_and_walls, thickened
 from gfp_grasp.train.views import View, seed_of
 from gfp_grasp.transforms import apply_T, invert_T, make_T
 from gfp_grasp.types import OrientedBox, PointCloud
 
 _SAMPLES = 4096
 _UP = np.array([0.0, 0.0, 1.0])
-# Cells along the longest side of a shape: a thin wall is made as thick as in a peer's own grid, not thicker by much.
-_CELLS = 40
+_CELLS = 40  # along the longest side of a shape
 _MARGIN = 3  # cells
-_REACH = 64.0  # cells: distances are not cut off
+_THICK = 8.0  # cells: walls are not told apart beyond
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,37 +41,44 @@ class Truth:
         bounds: (2, 3) m.
         grid: Cells around it.
         distance: (x, y, z) float16, signed distances in the grid's cells, negative inside.
+        wall: (x, y, z) float16, how thick the shape is where it is nearest, in cells.
     """
 
     points: np.ndarray
     bounds: np.ndarray
     grid: Grid
     distance: np.ndarray
+    wall: np.ndarray
 
     def box(self, T_world_object: np.ndarray) -> OrientedBox:
         """Its box, along its own axes, where the object stands."""
         return OrientedBox(T_world_object @ make_T(None, self.bounds.mean(axis=0)), np.ptp(self.bounds, axis=0))
 
-    def distances_m(self, points: np.ndarray) -> np.ndarray:
-        """Signed distances (n,) m of points (n, 3) m; beyond the grid, the mean of the bounds that its faces give."""
+    def distances(self, points: np.ndarray, cell_m: float) -> np.ndarray:
+        """Signed distances (n,) of points (n, 3) m in cells of a length, walls as thick as a grid of them needs.
+
+        Beyond the truth's own grid they are the mean of the bounds that its faces give.
+        """
         cells = self.grid.cells(points)
         inside = np.clip(cells, 0, np.array(self.distance.shape) - 1)
         near = ndimage.map_coordinates(self.distance.astype(np.float32), inside.T, order=1)
         beyond = np.linalg.norm(cells - inside, axis=1)
         outside = (near + beyond + np.hypot(near, beyond)) / 2  # what is nearest lies behind the face
-        return self.grid.cell_m * np.where(beyond > 0, outside, near)
+        wall = self.wall[tuple(np.rint(inside).astype(np.int64).T)]
+        finer = self.grid.cell_m / cell_m
+        return thickened(finer * np.where(beyond > 0, outside, near), finer * wall.astype(np.float32))
 
 
 def cached_truth(source: ObjectSource, folder: Path) -> Truth:
     """The truth of a shape, made where the cache lacks it."""
-    path = folder / source.category / f"{seed_of(source):06d}_{_CELLS}_{_SAMPLES}.npz"
+    path = folder / source.category / f"{seed_of(source):06d}_{_CELLS}_{_SAMPLES}_walls.npz"
     if not path.is_file():
         mesh = source.load_mesh()
         bounds = np.array(mesh.bounds)
         cell = float(np.ptp(bounds, axis=0).max()) / _CELLS
         x, y, z = (bounds[0] - _MARGIN * cell).tolist()
         nx, ny, nz = (np.ceil(np.ptp(bounds, axis=0) / cell).astype(int) + 2 * _MARGIN + 1).tolist()
-        distance = signed_distances(mesh, Grid((x, y, z), cell, (nx, ny, nz)), reach=_REACH)
+        distance, wall = distances_and_walls(mesh, Grid((x, y, z), cell, (nx, ny, nz)))
         points = visible_surface(mesh, _SAMPLES, np.random.default_rng(seed_of(source)))
         write_arrays(
             path,
@@ -81,12 +87,13 @@ def cached_truth(source: ObjectSource, folder: Path) -> Truth:
             origin=np.array([x, y, z]),
             cell_m=np.array(cell),
             distance=distance.astype(np.float16),
+            wall=np.minimum(wall, _THICK).astype(np.float16),
         )
     with np.load(path) as stored:
         nx, ny, nz = stored["distance"].shape
         x, y, z = stored["origin"].tolist()
         grid = Grid((x, y, z), float(stored["cell_m"]), (nx, ny, nz))
-        return Truth(stored["points"], stored["bounds"], grid, stored["distance"])
+        return Truth(stored["points"], stored["bounds"], grid, stored["distance"], stored["wall"])
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,8 +119,9 @@ class PeerView:
     def distances(self, resolution: int) -> np.ndarray:
         """(x, y, z) float32, signed distances of the cube's cells from the true surface, in cells."""
         world = self.cube.outward(cell_middles(resolution))
-        metres = self.truth.distances_m(apply_T(invert_T(self.view.T_world_object), world))
-        return (metres * resolution / self.cube.side_m).astype(np.float32).reshape(3 * (resolution,))
+        own = apply_T(invert_T(self.view.T_world_object), world)
+        distance = self.truth.distances(own, self.cube.side_m / resolution)
+        return distance.astype(np.float32).reshape(3 * (resolution,))
 
 
 def peer_views(

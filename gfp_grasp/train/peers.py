@@ -1,12 +1,13 @@
 """Trains the networks that GFPNet is compared with: all on the same views, each with the loss of its paper.
 
 `gfp-grasp train peer NAME` renders, trains and measures in the metric way, with `--true-box` in that of the papers,
-which goes on from the weights of the metric way. The schedules take forty minutes of one core each (EPYC with AVX-512,
-one thread), those in the true box ten.
+which goes on from the weights of the metric way. The schedules take about forty minutes of one core each (EPYC with
+AVX-512, one thread, nothing beside it), those in the true box ten; how long each took is on its card.
 """
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
@@ -22,6 +23,7 @@ from gfp_grasp.metrics import chamfer_m, visible_surface
 from gfp_grasp.peers import (
     AmortisedFit,
     PeerNetwork,
+    PointNetwork,
     ShapePrior,
     complete_by_peer,
     get_peer,
@@ -49,7 +51,7 @@ class PeerConfig(LoopConfig):
     Attributes:
         members: Members of each class.
         views: Views of each member.
-        prior_share: Share of the steps that a shape prior is trained in; only `3d-sc` has one.
+        prior_share: Share of the steps that a shape prior is trained in; only `3d-sc` has one, in either cube.
     """
 
     rate: float = 1e-3
@@ -87,7 +89,7 @@ def peer_config(name: str, *, true_box: bool) -> PeerConfig:
     config = PEER_CONFIGS[name]
     if not true_box:
         return config
-    return replace(config, steps=round(_GOES_ON * config.steps), rate=_GOES_ON * config.rate, prior_share=0.0)
+    return replace(config, steps=round(_GOES_ON * config.steps), rate=_GOES_ON * config.rate)
 
 
 def train_peer(
@@ -130,7 +132,8 @@ def train_peer(
     how = {"true_box": true_box, "runs": runs, "workers": workers}
     views = peer_views(classes, "train", members=config.members, num_views=config.views, **how)
     val = peer_views(classes, "val", members=max(1, config.members // 15), num_views=1, **how)
-    course = _Course(config, views, val, runs / "peers", training_key(name, true_box, config, classes), report)
+    key = training_key(name, true_box, config, classes, *map(_digest, (views, val)), _digest_of_weights(start))
+    course = _Course(config, views, val, runs / "peers", key, report)
     network, hours, curves = _trained(name, course, start)
     network.half().float()  # measured as it will be loaded
     return write_weights(
@@ -151,7 +154,7 @@ def train_peer(
 
 
 def measure_peer(name: str, network: PeerNetwork, views: Sequence[PeerView], *, true_box: bool) -> dict[str, object]:
-    """Chamfer distances of completed meshes, by class and as the mean of all views that have an answer.
+    """Chamfer distances of completions, by class and as the mean of all views that have an answer.
 
     Args:
         name: The peer.
@@ -160,9 +163,10 @@ def measure_peer(name: str, network: PeerNetwork, views: Sequence[PeerView], *, 
         true_box: Whether it is told the true box.
 
     Returns:
-        Number of views and of those without an answer; `cd_m`, in metres; `cd_boxes`, in longest sides of true boxes.
+        Number of views and of those without an answer; `cd_m` of the meshes, in metres; `cd_boxes`, in longest sides of
+        true boxes; and `points_cd_m`, in metres, of the points themselves, where the network answers with points.
     """
-    found: dict[str, list[tuple[float, float]]] = {}
+    found: dict[str, list[tuple[float, ...]]] = {}
     failed = 0
     for number, view in enumerate(views):
         T, rng = view.view.T_world_object, np.random.default_rng(number)
@@ -173,16 +177,35 @@ def measure_peer(name: str, network: PeerNetwork, views: Sequence[PeerView], *, 
         except GfpGraspError:
             failed += 1
             continue
-        cd_m = chamfer_m(points, apply_T(T, view.truth.points))
+        truth = apply_T(T, view.truth.points)
+        cd_m = chamfer_m(points, truth)
+        row = (cd_m, cd_m / float(box.extents.max()))
+        if isinstance(network, PointNetwork):
+            row = (*row, chamfer_m(view.cube.outward(network.finest(view.seen)), truth))
         for key in ("all", view.view.family):
-            found.setdefault(key, []).append((cd_m, cd_m / float(box.extents.max())))
+            found.setdefault(key, []).append(row)
     means = {key: np.mean(rows, axis=0) for key, rows in found.items()}
-    return {
-        "views": len(views),
-        "failed": failed,
-        "cd_m": {key: round(float(mean[0]), 5) for key, mean in means.items()},
-        "cd_boxes": {key: round(float(mean[1]), 5) for key, mean in means.items()},
-    }
+    names = ("cd_m", "cd_boxes", "points_cd_m")[: 3 if isinstance(network, PointNetwork) else 2]
+    columns = {name: {key: round(float(mean[i]), 5) for key, mean in means.items()} for i, name in enumerate(names)}
+    return {"views": len(views), "failed": failed, **columns}
+
+
+def _digest(views: Sequence[PeerView]) -> str:
+    """What views are made of: other views or truths make another training."""
+    digest = hashlib.blake2b(digest_size=8)
+    for view in views:
+        digest.update(view.seen.points.tobytes())
+    for truth in dict.fromkeys(view.truth for view in views):
+        for part in (truth.points, truth.distance, truth.wall):
+            digest.update(part.tobytes())
+    return digest.hexdigest()
+
+
+def _digest_of_weights(network: PeerNetwork | None) -> str:
+    digest = hashlib.blake2b(digest_size=8)
+    for tensor in () if network is None else network.state_dict().values():
+        digest.update(tensor.numpy().tobytes())
+    return digest.hexdigest()
 
 
 @dataclass(frozen=True, eq=False)
@@ -239,9 +262,11 @@ def _trained(name: str, course: _Course, start: PeerNetwork | None) -> tuple[Pee
     torch.manual_seed(course.config.seed)
     steps, hours, curves = course.config.steps, 0.0, {}
     network, before = start or make_network(name), 0
-    if start is None and isinstance(network, AmortisedFit):
-        before = max(1, round(course.config.prior_share * steps))
-        prior, hours, points = course.run(ShapePrior(), prior_lesson(), steps=before, part="prior")
+    if isinstance(network, AmortisedFit):
+        before, prior = max(1, round(course.config.prior_share * steps)), ShapePrior()
+        if start is not None:
+            prior.decode.load_state_dict(network.decode.state_dict())
+        prior, hours, points = course.run(prior, prior_lesson(), steps=before, part="prior")
         assert isinstance(prior, ShapePrior)
         network.decode.load_state_dict(prior.decode.state_dict())
         curves["learning_curve_of_prior"] = points
