@@ -46,6 +46,27 @@ def test_commands_of_the_pages_exist_with_their_options() -> None:
             assert option in help_of[key], f"{command}: {option}"
 
 
+def test_commands_within_the_text_exist_with_their_options() -> None:
+    sections = {part.partition("\n")[0]: part for part in TEXT["command_line.md"].split("### gfp-grasp ")}
+    found = {
+        (command, option)
+        for text in TEXT.values()
+        for command, rest in re.findall(r"`(?:gfp-grasp )?((?:train|bench|gps) [a-z]+)([^`]*)`", text)
+        for option in (None, *re.findall(r"--[a-z-]+", rest))
+    }
+    assert {("train pcrnet", "--data"), ("bench peers", "--data"), ("train peer", None)} <= found
+    for command, option in found:
+        assert command in sections, command
+        assert option is None or f"| `{option}` |" in sections[command], f"{command} {option}"
+
+
+def test_files_of_primitives_that_the_pages_name_are_there() -> None:
+    named = {suffix for text in TEXT.values() for suffix in re.findall(r"gps/<(?:class|name)>(\.\w+)", text)}
+    assert ".ply" in named
+    for suffix in named:
+        assert (ROOT / "gps" / f"cup{suffix}").is_file(), suffix
+
+
 def test_links_lead_to_files_that_are_there() -> None:
     for page in PAGES:
         for target in re.findall(r"\]\(([^)#]+)\)", TEXT[page.name]):
