@@ -23,11 +23,11 @@ def with_weights(network: _N, path: Path, *, name: str) -> _N:
         name: What the network is called in the error.
 
     Raises:
-        UnreadableFile: The file holds no weights of such a network.
+        UnreadableFile: The file cannot be read, or holds no weights of such a network.
     """
     try:
         network.load_state_dict(in_single(load_file(path)))
-    except (RuntimeError, SafetensorError) as error:
+    except (OSError, RuntimeError, SafetensorError) as error:
         raise UnreadableFile(f"{path} holds no weights of a network {name!r}: {error}") from error
     return network.eval()
 

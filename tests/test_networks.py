@@ -26,12 +26,14 @@ def test_half_floats_become_single_ones_and_whole_numbers_stay(tmp_path: Path) -
         assert torch.equal(tensor, wanted[name])
 
 
-@pytest.mark.parametrize("content", ["other", "broken"])
+@pytest.mark.parametrize("content", ["other", "broken", "missing", "folder"])
 def test_a_file_of_something_else_is_a_named_error(tmp_path: Path, content: str) -> None:
     path = tmp_path / "a.safetensors"
     if content == "other":
         save_file({"other": torch.zeros(2)}, path)
-    else:
+    elif content == "broken":
         path.write_bytes(b"no tensors")
+    elif content == "folder":
+        path.mkdir()
     with pytest.raises(UnreadableFile, match=r"a\.safetensors holds no weights of a network 'toy'"):
         with_weights(nn.Linear(2, 3), path, name="toy")
