@@ -2,17 +2,19 @@
 
 from __future__ import annotations
 
+import errno
 import json
 import os
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from pathlib import Path
+from tempfile import TemporaryFile
 from typing import IO, Any
 
 import numpy as np
 import numpy.typing as npt
 
-from gfp_grasp.errors import CannotWrite, InvalidOption
+from gfp_grasp.errors import CannotWrite, InvalidOption, UnreadableFile
 
 
 class Journal:
@@ -87,13 +89,32 @@ class Journal:
         )
 
 
+def read_figures(path: str | Path) -> dict[str, Any]:
+    """The figures of a JSON file, by their names.
+
+    Raises:
+        UnreadableFile: The file is not there, or holds something else.
+    """
+    path = Path(path)
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise UnreadableFile(f"{path} is no readable JSON ({error}): name another file, or remove it") from error
+    if not isinstance(content, dict):
+        raise UnreadableFile(
+            f"{path} holds a {type(content).__name__}; an object with figures is expected: "
+            "name another file, or remove it"
+        )
+    return content
+
+
 def write_whole(path: str | Path, text: str) -> None:
     """Write a file completely, or leave what was there before.
 
     Raises:
         CannotWrite: There is no room, no right, or no such place.
     """
-    _replace(Path(path), lambda file: file.write(text.encode()))
+    write_file(path, lambda file: file.write(text.encode()))
 
 
 def write_arrays(path: str | Path, **arrays: npt.ArrayLike) -> None:
@@ -102,10 +123,20 @@ def write_arrays(path: str | Path, **arrays: npt.ArrayLike) -> None:
     Raises:
         CannotWrite: There is no room, no right, or no such place.
     """
-    _replace(Path(path), lambda file: np.savez_compressed(file, **arrays))  # pyright: ignore[reportArgumentType]
+    write_file(path, lambda file: np.savez_compressed(file, **arrays))  # pyright: ignore[reportArgumentType]
 
 
-def _replace(path: Path, write: Callable[[IO[bytes]], object]) -> None:
+def write_file(path: str | Path, write: Callable[[IO[bytes]], object]) -> None:
+    """Write a file completely, or leave what was there before.
+
+    Args:
+        path: The file; its folder is made where there is none.
+        write: Writes the content to a file that is open.
+
+    Raises:
+        CannotWrite: There is no room, no right, or no such place.
+    """
+    path = Path(path)
     beside = path.with_name(f".{path.name}.{os.getpid()}.tmp")
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -115,6 +146,24 @@ def _replace(path: Path, write: Callable[[IO[bytes]], object]) -> None:
     except OSError as error:
         with suppress(OSError):
             beside.unlink(missing_ok=True)
-        raise CannotWrite(
-            f"{path.name} cannot be written ({error.strerror or error}): make room or name another place"
-        ) from error
+        raise _no_place(path, error) from error
+
+
+def check_place(path: str | Path) -> None:
+    """Refuse a file that could not be written, before any work is done for it; nothing is left there.
+
+    Raises:
+        CannotWrite: There is no right, no room or no such place, or a folder has the name.
+    """
+    path = Path(path).absolute()
+    try:
+        if path.is_dir():
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR))
+        with TemporaryFile(dir=next(parent for parent in path.parents if parent.exists())):
+            pass
+    except OSError as error:
+        raise _no_place(path, error) from error
+
+
+def _no_place(path: Path, error: OSError) -> CannotWrite:
+    return CannotWrite(f"{path} cannot be written ({error.strerror or error}): make room or name another place")

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from gfp_grasp.errors import CannotWrite, InvalidOption
-from gfp_grasp.journal import Journal, write_arrays, write_whole
+from gfp_grasp.errors import CannotWrite, InvalidOption, UnreadableFile
+from gfp_grasp.journal import Journal, check_place, read_figures, write_arrays, write_file, write_whole
 
 
 def test_a_journal_goes_on_after_the_last_whole_line(tmp_path):
@@ -105,3 +105,49 @@ def test_arrays_are_written_whole_or_not_at_all(tmp_path, monkeypatch):
         write_arrays(path, low=np.zeros(2))
     assert path.read_bytes() == before
     assert [file.name for file in path.parent.iterdir()] == ["a.npz"]
+
+
+def test_a_function_that_fails_half_way_leaves_what_was_there(tmp_path):
+    path = tmp_path / "new" / "a.bin"
+    write_file(path, lambda file: file.write(b"first"))
+
+    def half(file):
+        file.write(b"se")
+        raise OSError(28, "No space left on device")
+
+    with pytest.raises(CannotWrite, match=r"new/a\.bin cannot be written \(No space"):
+        write_file(path, half)
+    assert path.read_bytes() == b"first"
+    assert [file.name for file in path.parent.iterdir()] == ["a.bin"]
+
+
+def test_a_place_is_known_to_be_none_before_anything_is_written(tmp_path):
+    (tmp_path / "file").write_text("1")
+    check_place(tmp_path / "file")
+    check_place(tmp_path / "new" / "folder" / "a.json")
+    assert [path.name for path in tmp_path.iterdir()] == ["file"]
+    for place, why in ((tmp_path, "Is a directory"), (tmp_path / "file" / "new" / "a.json", "Not a directory")):
+        with pytest.raises(CannotWrite, match=f"cannot be written \\({why}\\): make room or name another place"):
+            check_place(place)
+
+
+@pytest.mark.skipif(not Path("/proc/self").exists(), reason="no /proc, where nobody may write")
+def test_a_place_without_the_right_to_write_is_refused():
+    with pytest.raises(CannotWrite, match="/proc/a/b cannot be written"):
+        check_place("/proc/a/b")
+
+
+def test_figures_are_an_object_of_json_or_a_named_error(tmp_path):
+    path = tmp_path / "a.json"
+    with pytest.raises(UnreadableFile, match=r"a\.json is no readable JSON .*No such file"):
+        read_figures(path)
+    path.write_text('{"Öl": [1, 2.5]}', encoding="utf-8")
+    assert read_figures(path) == {"Öl": [1, 2.5]}
+    for content, message in (
+        (b'{"a": 1', "is no readable JSON"),
+        (b"\xff", "is no readable"),
+        (b"[1]", "holds a list"),
+    ):
+        path.write_bytes(content)
+        with pytest.raises(UnreadableFile, match=rf"a\.json {message}"):
+            read_figures(path)
