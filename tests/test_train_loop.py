@@ -13,7 +13,7 @@ import torch
 from safetensors.torch import load_file
 from torch import nn
 
-from gfp_grasp.errors import InvalidOption
+from gfp_grasp.errors import CannotWrite, InvalidOption
 from gfp_grasp.train import LoopConfig, shuffled, train
 from gfp_grasp.train.loop import command_line, write_weights
 
@@ -142,6 +142,21 @@ def test_a_checkpoint_is_written_whenever_its_time_has_come(tmp_path: Path, monk
         assert saved == steps
 
 
+def test_a_checkpoint_is_written_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    _trained(tmp_path)
+    before = (tmp_path / "new" / "c.pt").read_bytes()
+
+    def half(state: object, file) -> None:
+        file.write(b"half")
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(torch, "save", half)
+    with pytest.raises(CannotWrite, match=r"c\.pt cannot be written \(No space"):
+        _trained(tmp_path, replace(CONFIG, steps=2))
+    assert (tmp_path / "new" / "c.pt").read_bytes() == before
+    assert [path.name for path in (tmp_path / "new").iterdir()] == ["c.pt"]
+
+
 def test_products_are_taken_in_half_precision_where_asked(tmp_path: Path) -> None:
     kinds: list[torch.dtype] = []
 
@@ -216,6 +231,28 @@ def test_weights_are_written_in_half_precision_beside_a_card_that_knows_their_di
         "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
     }
     assert card_path.read_text().endswith("}\n")
+
+
+def test_weights_and_card_are_written_whole_or_not_at_all(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = tmp_path / "net.safetensors"
+    how = {"config": _Settings(), "data": {}, "metrics": {}}
+    card = write_weights(_Weight(0.5), path, hours=1.0, **how)
+    before = (path.read_bytes(), card.read_bytes())
+    monkeypatch.setattr(Path, "replace", lambda self, to: _no_room())
+    with pytest.raises(CannotWrite, match=r"net\.safetensors cannot be written"):
+        write_weights(_Weight(0.25), path, hours=2.0, **how)
+    assert (path.read_bytes(), card.read_bytes()) == before
+    replaced = Path.rename  # as replace does where it may
+    monkeypatch.setattr(Path, "replace", lambda self, to: _no_room() if to == card else replaced(self, to))
+    with pytest.raises(CannotWrite, match=r"net\.json cannot be written"):
+        write_weights(_Weight(0.25), path, hours=2.0, **how)
+    assert load_file(path)["weight"].item() == 0.25
+    assert card.read_bytes() == before[1]
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["net.json", "net.safetensors"]
+
+
+def _no_room() -> None:
+    raise OSError(28, "No space left on device")
 
 
 def test_a_module_that_is_run_is_named_as_a_user_would_type_it(monkeypatch: pytest.MonkeyPatch) -> None:

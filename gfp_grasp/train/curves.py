@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -11,6 +12,7 @@ import torch
 from torch import Tensor, nn
 
 from gfp_grasp.errors import UnreadableFile
+from gfp_grasp.journal import read_figures, write_whole
 from gfp_grasp.train.loop import Batch
 
 _CURVE = "learning_curve"  # what the keys of a card begin with that are curves
@@ -25,7 +27,7 @@ class LearningCurve:
         loss: Scalar loss of one batch.
         held_out: A batch of the validation split.
         bf16: Multiply in bfloat16, as the training does.
-        path: File of the points.
+        path: File of the points; one that cannot be read is begun anew.
         then: Told the step and the loss, too.
         points: Steps, mean loss since the point before, and loss of the validation batch.
     """
@@ -40,7 +42,8 @@ class LearningCurve:
 
     def __post_init__(self) -> None:
         if self.path.is_file():
-            self.points = [(int(step), own, val) for step, own, val in json.loads(self.path.read_text())]
+            with suppress(TypeError, ValueError):  # cut off by a run that was killed, or something else
+                self.points = [(int(step), own, val) for step, own, val in json.loads(self.path.read_bytes())]
 
     def __call__(self, step: int, loss: float) -> None:
         """Add a point; those of steps that a resumed run does again are dropped."""
@@ -51,8 +54,7 @@ class LearningCurve:
             val = float(self.loss(self.network, held_out))
         self.network.train()
         self.points = [point for point in self.points if point[0] < step] + [(step, _short(loss), _short(val))]
-        self.path.parent.mkdir(parents=True, exist_ok=True)
-        self.path.write_text(json.dumps(self.points))
+        write_whole(self.path, json.dumps(self.points))
         if self.then is not None:
             self.then(step, loss)
 
@@ -65,11 +67,11 @@ def curves_of_cards(folder: Path) -> dict[str, list[tuple[int, float, float]]]:
     """The learning curves that the cards of a folder's weights keep, by file and part of the training.
 
     Raises:
-        UnreadableFile: No card in the folder has one.
+        UnreadableFile: No card in the folder has one, or one of them is no card.
     """
     found = {}
     for path in sorted(folder.glob("*.json")):
-        card = json.loads(path.read_text(encoding="utf-8"))
+        card = read_figures(path)
         for key in [key for key in card if key.startswith(_CURVE) and card[key]]:
             part = key.removeprefix(_CURVE).replace("_", " ")
             found[path.stem + part] = [(int(step), loss, val) for step, loss, val in card[key]]

@@ -13,10 +13,11 @@ from typing import TypeVar
 
 import numpy as np
 import torch
-from safetensors.torch import save_file
+from safetensors.torch import save
 from torch import Tensor, nn
 
 from gfp_grasp.errors import InvalidOption
+from gfp_grasp.journal import write_file, write_whole
 
 Batch = tuple[Tensor, ...]
 Network = TypeVar("Network", bound=nn.Module)
@@ -135,10 +136,10 @@ def write_weights(
         extra: More of the card.
         beside: Arrays that the file holds beside the network's, by names of their own.
     """
-    path.parent.mkdir(parents=True, exist_ok=True)
     tensors = {**network.state_dict(), **{name: torch.from_numpy(array) for name, array in (beside or {}).items()}}
-    save_file({name: tensor.half().contiguous() for name, tensor in tensors.items()}, path)
-    path.chmod(0o644)  # safetensors writes for the owner alone, and a wheel keeps the mode
+    content = save({name: tensor.half().contiguous() for name, tensor in tensors.items()})
+    write_file(path, lambda file: file.write(content))
+    path.chmod(0o644)  # whatever the umask: a wheel keeps the mode
     card = {
         "command": command_line(),
         "config": asdict(config),  # type: ignore[call-overload]
@@ -150,7 +151,7 @@ def write_weights(
         "sha256": hashlib.sha256(path.read_bytes()).hexdigest(),
     }
     card_path = path.with_suffix(".json")
-    card_path.write_text(json.dumps(card, indent=1) + "\n")
+    write_whole(card_path, json.dumps(card, indent=1) + "\n")
     return card_path
 
 
@@ -192,16 +193,11 @@ def command_line() -> str:
 
 
 def _save_checkpoint(path: Path, network, optimiser, schedule, done: int, seconds: float) -> None:
-    path.parent.mkdir(parents=True, exist_ok=True)
-    partial = path.with_suffix(".tmp")
-    torch.save(
-        {
-            "network": network.state_dict(),
-            "optimiser": optimiser.state_dict(),
-            "schedule": schedule.state_dict(),
-            "done": done,
-            "seconds": seconds,
-        },
-        partial,
-    )
-    partial.replace(path)
+    state = {
+        "network": network.state_dict(),
+        "optimiser": optimiser.state_dict(),
+        "schedule": schedule.state_dict(),
+        "done": done,
+        "seconds": seconds,
+    }
+    write_file(path, lambda file: torch.save(state, file))
