@@ -29,6 +29,10 @@ class FitDiverged(GfpGraspError):
     """No start of the registration reached a plausible fit."""
 
 
+class TrainingDiverged(GfpGraspError):
+    """The loss of a training, or its gradient, is no finite number any more."""
+
+
 class NoSurface(GfpGraspError):
     """A network that completes finds nothing solid around the points."""
 

@@ -13,7 +13,7 @@ import torch
 from safetensors.torch import load_file
 from torch import nn
 
-from gfp_grasp.errors import CannotWrite, InvalidOption
+from gfp_grasp.errors import CannotWrite, InvalidOption, TrainingDiverged
 from gfp_grasp.train import LoopConfig, shuffled, train
 from gfp_grasp.train.loop import command_line, write_weights
 
@@ -155,6 +155,26 @@ def test_a_checkpoint_is_written_whole_or_not_at_all(tmp_path: Path, monkeypatch
         _trained(tmp_path, replace(CONFIG, steps=2))
     assert (tmp_path / "new" / "c.pt").read_bytes() == before
     assert [path.name for path in (tmp_path / "new").iterdir()] == ["c.pt"]
+
+
+@pytest.mark.parametrize("bad", ["nan", "inf", "gradient"])
+def test_a_loss_that_is_no_number_ends_the_run_before_it_spoils_the_weights(bad: str, tmp_path: Path) -> None:
+    """The third step is bad; every step is checkpointed, and no report is asked for."""
+    steps = iter(range(1, 9))
+
+    def spoilt(network: nn.Module, batch) -> torch.Tensor:
+        value = _steep(network, batch)
+        if next(steps) < 3:
+            return value
+        # The root of nothing has an infinite slope, and nothing times that is no number.
+        return value + (0 * value).sqrt() if bad == "gradient" else value * float(bad)
+
+    config, checkpoint = replace(CONFIG, steps=800, checkpoint_s=-1.0), tmp_path / "c.pt"
+    with pytest.raises(TrainingDiverged, match=r"at step 3 the loss is .*a rate lower than 0\.01 helps"):
+        train(_Weight(), _ones, spoilt, config=config, checkpoint=checkpoint)
+    state = torch.load(checkpoint, weights_only=True)
+    assert state["done"] == 2
+    assert state["network"]["weight"].item() == pytest.approx(2.98, abs=1e-4)
 
 
 def test_products_are_taken_in_half_precision_where_asked(tmp_path: Path) -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 import sys
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -16,7 +17,7 @@ import torch
 from safetensors.torch import save
 from torch import Tensor, nn
 
-from gfp_grasp.errors import InvalidOption
+from gfp_grasp.errors import InvalidOption, TrainingDiverged
 from gfp_grasp.journal import write_file, write_whole
 
 Batch = tuple[Tensor, ...]
@@ -77,6 +78,9 @@ def train(
 
     Returns:
         The trained network in evaluation mode, and the hours of a processor core that all runs took.
+
+    Raises:
+        TrainingDiverged: A loss or its gradient is not finite; the checkpoint keeps the weights from before.
     """
     network.to(config.device).train()
     optimiser = torch.optim.AdamW(network.parameters(), lr=config.rate, weight_decay=config.weight_decay)
@@ -99,10 +103,15 @@ def train(
             value = loss(network, batch)
         optimiser.zero_grad(set_to_none=True)
         value.backward()
-        nn.utils.clip_grad_norm_(network.parameters(), 1.0)
+        length, own = float(nn.utils.clip_grad_norm_(network.parameters(), 1.0)), float(value.detach())
+        if not math.isfinite(own + length):
+            raise TrainingDiverged(
+                f"at step {step + 1} the loss is {own:g} and its gradient {length:g} long; finite numbers are "
+                f"expected: a rate lower than {config.rate:g} helps"
+            )
         optimiser.step()
         schedule.step()
-        summed, count = summed + float(value.detach()), count + 1
+        summed, count = summed + own, count + 1
         if report is not None and (step + 1) % max(1, config.steps // 100) == 0:
             report(step + 1, summed / count)
             summed, count = 0.0, 0
