@@ -2,11 +2,13 @@
 
 import json
 from dataclasses import asdict, replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+import trimesh
 from moments import assert_known
 from torch import Tensor, nn
 from toy_primitive import toy_cup_primitive
@@ -18,6 +20,7 @@ from gfp_grasp.meshes import sample_surface
 from gfp_grasp.metrics import chamfer_m
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.register import FitConfig, pcrnet_config, size_of_extents
+from gfp_grasp.scenes import ObjectSource
 from gfp_grasp.train import (
     LoopConfig,
     ViewsConfig,
@@ -197,6 +200,24 @@ def test_patches_come_from_the_cache_once_made_and_are_counted(tmp_path: Path, m
     monkeypatch.setattr(module, "_content", lambda weights: b"another")
     with pytest.raises(AssertionError, match="made again"):
         paper_patches("val", classes=["cup"], members=1, num_views=1, runs=tmp_path)
+
+
+def test_files_of_one_name_have_labels_of_their_own_and_shapes_those_of_their_seeds(
+    tmp_path: Path, monkeypatch
+) -> None:
+    monkeypatch.setattr(module, "_label", lambda mesh, primitive, seed: ("kept", np.array([mesh.extents])))
+    find = partial(module._cached_label, primitive=CUP, folder=tmp_path / "labels")
+    folders = tmp_path / "one", tmp_path / "other"
+    for folder, height_m in zip(folders, (0.08, 0.1), strict=True):
+        folder.mkdir()
+        trimesh.creation.box((0.06, 0.05, height_m)).export(folder / "cup__a.ply")
+    sources = [ObjectSource("a", "cup", path=folder / "cup__a.ply") for folder in folders]
+    for _ in range(2):
+        assert [find(source)[1][0, 2] for source in sources] == pytest.approx([0.08, 0.1])
+    trimesh.creation.box((0.06, 0.05, 0.09)).export(folders[0] / "cup__a.ply")
+    assert find(sources[0])[1][0, 2] == pytest.approx(0.09)
+    find(shape_source("cup", 42))
+    assert f"label_000042_{module._shape_id(CUP)}.npz" in {path.name for path in (tmp_path / "labels").iterdir()}
 
 
 def test_a_split_without_a_label_is_refused(monkeypatch, tmp_path: Path) -> None:

@@ -37,7 +37,7 @@ from gfp_grasp.shapes import IN_PAPER
 from gfp_grasp.train.by_sensor import class_sensor, class_views
 from gfp_grasp.train.labels import MOST_RESIDUAL, draw_onto
 from gfp_grasp.train.loop import Batch
-from gfp_grasp.train.views import View, seed_of
+from gfp_grasp.train.views import View, cache_name, seed_of
 from gfp_grasp.transforms import apply_T, invert_T, make_T, rotation_about
 from gfp_grasp.types import GenericPrimitive
 
@@ -99,7 +99,7 @@ _Rows = tuple[str, tuple[np.ndarray, ...]]
 
 def _cached_label(source: ObjectSource, *, primitive: GenericPrimitive, folder: Path) -> tuple[str, np.ndarray]:
     """Verdict on a shape, and where the primitive's vertices (v, 3) m belong on it, in its own frame."""
-    path = folder / f"label_{seed_of(source):06d}_{_shape_id(primitive)}.npz"
+    path = folder / f"label_{cache_name(source)}_{_shape_id(primitive)}.npz"
     if not path.is_file():
         verdict, vertices = _label(source.load_mesh(), primitive, seed_of(source))
         write_arrays(path, verdict=np.array(verdict), vertices=vertices)

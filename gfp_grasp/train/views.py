@@ -212,7 +212,7 @@ def cached_views(
 def _load_or_render(
     source: ObjectSource, *, num_views: int, folder: Path, config: ViewsConfig | ScansConfig
 ) -> list[View]:
-    path = folder / source.category / f"{_cache_name(source)}_{num_views}_{config_id(config)}.npz"
+    path = folder / source.category / f"{cache_name(source)}_{num_views}_{config_id(config)}.npz"
     if path.is_file():
         return read_views(path, source)
     try:
@@ -255,7 +255,8 @@ def read_views(path: Path, source: ObjectSource) -> list[View]:
         ]
 
 
-def _cache_name(source: ObjectSource) -> str:
+def cache_name(source: ObjectSource) -> str:
+    """What files that are made of a shape are called: a procedural one's seed; for a file a digest of its content."""
     if source.path is None:
         return f"{source.seed:06d}"
     content = source.path.read_bytes() + f"{source.up} {source.height_m}".encode()
@@ -324,6 +325,7 @@ __all__ = [
     "View",
     "ViewsConfig",
     "across_edge",
+    "cache_name",
     "cached_views",
     "config_id",
     "read_views",
