@@ -213,6 +213,10 @@ def test_gfpnet_goes_on_from_weights_and_their_card_is_part_of_the_new_one(tmp_p
     save_file({name: tensor[:1] for name, tensor in first.state_dict().items()}, start)
     with pytest.raises(UnreadableFile, match=r"start\.safetensors holds no weights of a network 'patch'"):
         train_gfpnet(start=start)
+    start.with_suffix(".json").write_text('{"hours": 0.')
+    save_file({name: tensor.half() for name, tensor in first.state_dict().items()}, start)
+    with pytest.raises(UnreadableFile, match=r"start\.json is no readable JSON"):
+        train_gfpnet(start=start)
     start.with_suffix(".json").unlink()
     with pytest.raises(UnreadableFile, match=r"start\.safetensors has no card start\.json beside it"):
         train_gfpnet(start=start)

@@ -14,14 +14,13 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from gfp_grasp.assets import data_dir
 from gfp_grasp.classfree import REACH, DistanceNet, complete_classfree
 from gfp_grasp.errors import GfpGraspError, InvalidOption
 from gfp_grasp.parallel import Progress
 from gfp_grasp.shapes import get_family
 from gfp_grasp.train.classfree_data import SeenThing, cached_samples, draw_things, read_sample, seen_things
 from gfp_grasp.train.classfree_measure import measure_against_hull, position_errors_m, summarise_against_hull
-from gfp_grasp.train.loop import Batch, LoopConfig, train, training_key, write_weights
+from gfp_grasp.train.loop import Batch, LoopConfig, train, training_key, weights_place, write_weights
 
 _NEAR = 2.0  # cells from the surface within which errors count most
 _FAR_WEIGHT = 0.1
@@ -85,9 +84,11 @@ def train_classfree(
 
     Raises:
         UnknownCategory: A family to leave out that there is not.
+        CannotWrite: `out` or `runs`.
     """
     for name in without:
         get_family(name)
+    out = weights_place(out, "classfree", runs=runs)
     folder = runs / "classfree"
     draw = partial(draw_things, without=without)
     things = draw("train", members=config.members, mixtures=config.mixtures)
@@ -110,7 +111,7 @@ def train_classfree(
     left_out = {"left_out": summarise_against_hull([row for row in rows if row.kind in without])} if without else {}
     return write_weights(
         network,
-        out or data_dir("weights") / "classfree.safetensors",
+        out,
         config=config,
         data={
             "without": list(without),

@@ -5,7 +5,6 @@ Letters: o objects, p patches of one, n source points, m template points, c chan
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
@@ -13,7 +12,6 @@ from pathlib import Path
 import torch
 from torch import Tensor, nn
 
-from gfp_grasp.assets import data_dir
 from gfp_grasp.datasets import layout_of
 from gfp_grasp.deform import (
     BELIEF,
@@ -28,11 +26,12 @@ from gfp_grasp.deform import (
     solve_change,
 )
 from gfp_grasp.errors import UnreadableFile
+from gfp_grasp.journal import read_figures
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.register import FitConfig
 from gfp_grasp.scenes import shipped_families
 from gfp_grasp.train.labels import make_labels
-from gfp_grasp.train.loop import Batch, LoopConfig, mean_mm, shuffled, train, training_key, write_weights
+from gfp_grasp.train.loop import Batch, LoopConfig, mean_mm, shuffled, train, training_key, weights_place, write_weights
 from gfp_grasp.train.patch_data import Objects, PrimitiveTable, augmented, load_objects
 
 GFPNET_CONFIG = LoopConfig(steps=4000, batch=16, rate=1e-3, decay=0.7, weight_decay=0.01)  # a batch of whole objects
@@ -77,7 +76,9 @@ def train_gfpnet(
 
     Raises:
         UnreadableFile: `start` holds no weights of this network, or has no card beside it.
+        CannotWrite: `out` or `runs`.
     """
+    out = weights_place(out, WEIGHTS["patch"], runs=runs)
     classes = classes or (shipped_families() if library is None else library.categories)
     library = library or PrimitiveLibrary.shipped()
     table = PrimitiveTable.of(library, tuple(classes))
@@ -98,7 +99,7 @@ def train_gfpnet(
     held_out, _ = load_objects(partial(make, split="val", limit=None if limit is None else max(1, limit // 4)), table)
     return write_weights(
         network,
-        out or data_dir("weights") / f"{WEIGHTS['patch']}.safetensors",
+        out,
         config=config,
         data={
             "classes": table.categories,
@@ -119,12 +120,12 @@ def begun(variant: Variant, start: Path) -> tuple[nn.Module, dict[str, object]]:
     """The network of a weights file, in training mode, and the card beside it.
 
     Raises:
-        UnreadableFile: The file holds no weights of this variant, or has no card beside it.
+        UnreadableFile: The file holds no weights of this variant, or no card that can be read is beside it.
     """
     card = start.with_suffix(".json")
     if not card.is_file():
         raise UnreadableFile(f"{start} has no card {card.name} beside it: `gfp-grasp train gfpnet` writes both")
-    return read_network(variant, start).train(), json.loads(card.read_text())
+    return read_network(variant, start).train(), read_figures(card)
 
 
 def point_loss(network: nn.Module, batch: Batch, *, table: PrimitiveTable) -> Tensor:

@@ -15,14 +15,13 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from gfp_grasp.assets import data_dir
 from gfp_grasp.camera import SensorModel
 from gfp_grasp.detect import InstanceNet, gather_votes, instance_features, level_picture, vote
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.journal import write_arrays
 from gfp_grasp.parallel import Progress, pmap
 from gfp_grasp.scenes import draw_camera, draw_things, make_room, view_room
-from gfp_grasp.train.loop import Batch, LoopConfig, train, write_weights
+from gfp_grasp.train.loop import Batch, LoopConfig, train, weights_place, write_weights
 from gfp_grasp.transforms import rotation_about
 from gfp_grasp.types import DepthImage, SupportPlane
 
@@ -96,7 +95,11 @@ def train_instances(
 
     Returns:
         Path of the card.
+
+    Raises:
+        CannotWrite: `out` or `runs`.
     """
+    out = weights_place(out, "instances", runs=runs)
     torch.manual_seed(config.seed)
     render = partial(_render_room, num_views=config.views, folder=runs / "rooms")
     paths = list(pmap(render, [("train", n) for n in range(config.rooms)], workers=workers, progress=progress))
@@ -112,7 +115,7 @@ def train_instances(
     )
     return write_weights(
         network.half().float(),
-        out or data_dir("weights") / "instances.safetensors",
+        out,
         config=config,
         data={"rooms": config.rooms, "views_a_room": config.views, "split": "train"},
         hours=hours,

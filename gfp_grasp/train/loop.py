@@ -17,8 +17,9 @@ import torch
 from safetensors.torch import save
 from torch import Tensor, nn
 
+from gfp_grasp.assets import data_dir
 from gfp_grasp.errors import InvalidOption, TrainingDiverged
-from gfp_grasp.journal import write_file, write_whole
+from gfp_grasp.journal import check_place, write_file, write_whole
 
 Batch = tuple[Tensor, ...]
 Network = TypeVar("Network", bound=nn.Module)
@@ -122,6 +123,23 @@ def train(
     return network.cpu().eval(), (seconds + time.process_time() - start) / 3600
 
 
+def weights_place(out: Path | None, stem: str, *, runs: Path) -> Path:
+    """The file that a training is to write, once it is known that it can be written; this is asked before any work.
+
+    Args:
+        out: The weights file; None is the shipped one.
+        stem: Name of the shipped one, without its suffix.
+        runs: Folder of caches and checkpoints.
+
+    Raises:
+        CannotWrite: The weights, their card or the folder cannot be written.
+    """
+    path = out or data_dir("weights") / f"{stem}.safetensors"
+    for place in (path, path.with_suffix(".json"), runs / f"{stem}.pt"):
+        check_place(place)
+    return path
+
+
 def write_weights(
     network: nn.Module,
     path: Path,
@@ -144,6 +162,9 @@ def write_weights(
         metrics: Measured on data it was not trained on, with the float16 weights.
         extra: More of the card.
         beside: Arrays that the file holds beside the network's, by names of their own.
+
+    Raises:
+        CannotWrite: There is no room, no right, or no such place.
     """
     tensors = {**network.state_dict(), **{name: torch.from_numpy(array) for name, array in (beside or {}).items()}}
     content = save({name: tensor.half().contiguous() for name, tensor in tensors.items()})

@@ -21,6 +21,7 @@ from gfp_grasp.answers import Clock, CompleteConfig, by_class
 from gfp_grasp.assets import data_dir
 from gfp_grasp.classfree import complete_level, hull_of
 from gfp_grasp.errors import FitDiverged, InvalidCloud, InvalidOption, NoSurface
+from gfp_grasp.journal import check_place, write_whole
 from gfp_grasp.level import make_level_view
 from gfp_grasp.metrics import chamfer_m, visible_surface
 from gfp_grasp.misfit import misfit_of
@@ -230,7 +231,12 @@ def train_openset(
 
     Returns:
         Path of the card.
+
+    Raises:
+        CannotWrite: `out`.
     """
+    path = out or data_dir("weights") / "openset.json"
+    check_place(path)
     started = time.perf_counter()
     rows = openset_rows("val", config, workers=workers, progress=progress)
     models = fit_models(rows)
@@ -242,6 +248,5 @@ def train_openset(
         "hours": round((time.perf_counter() - started) / 3600, 3),
         "models": {name: asdict(model) for name, model in models.items()},
     }
-    path = out or data_dir("weights") / "openset.json"
-    path.write_text(json.dumps(card, indent=1) + "\n")
+    write_whole(path, json.dumps(card, indent=1) + "\n")
     return path

@@ -14,14 +14,13 @@ from typing import Literal
 import torch
 from torch import Tensor, nn
 
-from gfp_grasp.assets import data_dir
 from gfp_grasp.datasets import layout_of
 from gfp_grasp.deform import WEIGHTS, PaperNet, Variant, make_network
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.shapes import IN_PAPER
 from gfp_grasp.train.curves import LearningCurve
 from gfp_grasp.train.gfpnet import begun
-from gfp_grasp.train.loop import Batch, LoopConfig, mean_mm, shuffled, train, training_key, write_weights
+from gfp_grasp.train.loop import Batch, LoopConfig, mean_mm, shuffled, train, training_key, weights_place, write_weights
 from gfp_grasp.train.paper_data import paper_patches
 
 _CHAMFER_SHARE = 0.7  # the paper's loss: 0.7 Chamfer distance + 0.3 Laplacian
@@ -118,9 +117,11 @@ def train_paper(
     Raises:
         InvalidOption: Not a variant of the paper's, or no label could be made.
         UnreadableFile: `start` holds no weights of this variant, or has no card beside it.
+        CannotWrite: `out` or `runs`.
     """
     if variant not in PAPER_CONFIGS:
         raise InvalidOption(f"variant is {variant!r}; one of {', '.join(PAPER_CONFIGS)} is expected")
+    out = weights_place(out, WEIGHTS[variant], runs=runs)
     config, classes = config or PAPER_CONFIGS[variant], tuple(classes or IN_PAPER)
     torch.manual_seed(config.seed)
     network, before = (make_network(variant), None) if start is None else begun(variant, start)
@@ -150,7 +151,7 @@ def train_paper(
     network = network.half().float()
     return write_weights(
         network,
-        out or data_dir("weights") / f"{WEIGHTS[variant]}.safetensors",
+        out,
         config=config,
         data={
             "classes": classes,

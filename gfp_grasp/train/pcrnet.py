@@ -14,7 +14,6 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from gfp_grasp.assets import data_dir
 from gfp_grasp.datasets import layout_of
 from gfp_grasp.level import make_level_view
 from gfp_grasp.primitives import PrimitiveLibrary
@@ -23,7 +22,7 @@ from gfp_grasp.scenes import shipped_families
 from gfp_grasp.shapes import TRAFFIC
 from gfp_grasp.train.by_sensor import class_views
 from gfp_grasp.train.curves import LearningCurve
-from gfp_grasp.train.loop import Batch, LoopConfig, shuffled, train, training_key, write_weights
+from gfp_grasp.train.loop import Batch, LoopConfig, shuffled, train, training_key, weights_place, write_weights
 from gfp_grasp.train.views import View
 from gfp_grasp.transforms import invert_T, rotation_about, rotation_between
 from gfp_grasp.types import TABLETOP, GenericPrimitive, SensorProfile
@@ -64,7 +63,11 @@ def train_pcrnet(
 
     Returns:
         Path of the card.
+
+    Raises:
+        CannotWrite: `out` or `runs`.
     """
+    out = weights_place(out, pcrnet_weights(sensor), runs=runs)
     torch.manual_seed(config.seed)
     met = TRAFFIC if sensor.of_traffic else shipped_families()
     categories = tuple(classes or (met if library is None else library.categories))
@@ -95,7 +98,6 @@ def train_pcrnet(
         checkpoint=folder / f"{key}.pt",
         report=curve,
     )
-    out = out or data_dir("weights") / f"{pcrnet_weights(sensor)}.safetensors"
     return write_weights(
         network.half().float(),
         out,

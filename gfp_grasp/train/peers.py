@@ -17,7 +17,6 @@ import numpy as np
 import torch
 from torch import nn
 
-from gfp_grasp.assets import data_dir
 from gfp_grasp.errors import GfpGraspError, InvalidOption
 from gfp_grasp.metrics import chamfer_m, visible_surface
 from gfp_grasp.peers import (
@@ -33,7 +32,7 @@ from gfp_grasp.peers import (
 )
 from gfp_grasp.shapes import HOUSEHOLD, IN_PAPER, get_family
 from gfp_grasp.train.curves import LearningCurve
-from gfp_grasp.train.loop import LoopConfig, train, training_key, write_weights
+from gfp_grasp.train.loop import LoopConfig, train, training_key, weights_place, write_weights
 from gfp_grasp.train.peer_data import PeerView, peer_views
 from gfp_grasp.train.peer_losses import Lesson, lesson_batches, lesson_of, make_batch, prior_lesson
 from gfp_grasp.transforms import apply_T
@@ -123,11 +122,13 @@ def train_peer(
         InvalidOption: No such peer.
         UnknownCategory: No such family.
         NotTrained: The metric way, which the true box goes on from, has no weights.
+        CannotWrite: `out` or `runs`.
     """
     config = config or peer_config(name, true_box=true_box)
     classes = tuple(classes or CLASSES)
     for family in classes:
         get_family(family)
+    out = weights_place(out, weights_stem(name, true_box=true_box), runs=runs)
     start = deepcopy(load_network(name, true_box=False)) if true_box else None
     how = {"true_box": true_box, "runs": runs, "workers": workers}
     views = peer_views(classes, "train", members=config.members, num_views=config.views, **how)
@@ -138,7 +139,7 @@ def train_peer(
     network.half().float()  # measured as it will be loaded
     return write_weights(
         network,
-        out or data_dir("weights") / f"{weights_stem(name, true_box=true_box)}.safetensors",
+        out,
         config=config,
         data={
             "classes": classes,

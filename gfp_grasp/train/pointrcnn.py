@@ -17,7 +17,6 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from gfp_grasp.assets import data_dir
 from gfp_grasp.detect import (
     CELL_M,
     SURE_BOX,
@@ -37,7 +36,7 @@ from gfp_grasp.detect import (
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.parallel import pmap
 from gfp_grasp.shapes import IN_STREETS
-from gfp_grasp.train.loop import Batch, LoopConfig, train, write_weights
+from gfp_grasp.train.loop import Batch, LoopConfig, train, weights_place, write_weights
 from gfp_grasp.train.street_data import StreetScan, read_street, render_street, street_of_kitti, write_street
 from gfp_grasp.transforms import rotation_about
 
@@ -101,7 +100,12 @@ def train_pointrcnn(
 
     Returns:
         Path of the card.
+
+    Raises:
+        InvalidOption: Fewer than two scans in `data`.
+        CannotWrite: `out` or `runs`.
     """
+    out = weights_place(out, "pointrcnn", runs=runs)
     torch.manual_seed(config.seed)
     if data is None:
         render = partial(render_street, folder=runs / "streets")
@@ -124,7 +128,7 @@ def train_pointrcnn(
     )
     return write_weights(
         network.half().float(),
-        out or data_dir("weights") / "pointrcnn.safetensors",
+        out,
         config=config,
         data={"scans": len(paths), "held_out": len(held_out), "simulated": data is None},
         hours=hours,

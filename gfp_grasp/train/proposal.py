@@ -18,7 +18,7 @@ from torch import Tensor, nn
 from gfp_grasp.detect import PROTOTYPES, Look, ProposalNet, Prototypes, mixture
 from gfp_grasp.shapes import FAMILIES, TRAFFIC
 from gfp_grasp.train.calibration import calibrate, embedded, measure, measure_pose
-from gfp_grasp.train.loop import train, training_key, write_weights
+from gfp_grasp.train.loop import train, training_key, weights_place, write_weights
 from gfp_grasp.train.proposal_batches import ProposalConfig, augmented_batches, make_targets
 from gfp_grasp.train.proposal_data import CACHE, Example, assorted_examples, class_examples
 from gfp_grasp.train.prototypes import cluster
@@ -79,9 +79,13 @@ def train_proposal(
 
     Returns:
         The metrics of the card.
-    """
 
+    Raises:
+        CannotWrite: `out` or `cache`.
+    """
     sensor = get_sensor(config.sensor)
+    stem = "proposal" if sensor is TABLETOP else f"proposal_{sensor.name}"
+    file = weights_place(out / f"{stem}.safetensors", stem, runs=cache)
     classes = tuple(classes or (FAMILIES if sensor is TABLETOP else TRAFFIC))
 
     def views(split: str, num_views: int) -> list[Example]:
@@ -132,7 +136,7 @@ def train_proposal(
     own = {} if sensor is TABLETOP else {f"{PROTOTYPES}{name}": p.vectors for name, p in prototypes.items()}
     write_weights(
         network,
-        out / ("proposal.safetensors" if sensor is TABLETOP else f"proposal_{sensor.name}.safetensors"),
+        file,
         beside=own,
         config=config,
         data={
