@@ -12,7 +12,7 @@ from recorded_calls import recorded, run
 from gfp_grasp.cli import terminal
 from gfp_grasp.cli.program import _keep_to_one_thread
 from gfp_grasp.cli.training import _bar
-from gfp_grasp.errors import InvalidOption
+from gfp_grasp.errors import InvalidOption, UnreadableFile
 
 
 def test_words_of_a_table_start_at_the_left_and_figures_end_at_the_right(capsys: pytest.CaptureFixture[str]) -> None:
@@ -105,6 +105,13 @@ def test_figures_come_back_and_trials_have_a_line_each(tmp_path: Path) -> None:
     lines = path.read_text().splitlines()
     assert [json.loads(line.rstrip(",")) for line in lines if '"n"' in line] == content["trials"]
     assert lines[1] == ' "mean": 0.5,'
+
+
+@pytest.mark.parametrize("content", ["[1, 2]", '{"mean": 0.', "", "3"])
+def test_a_file_without_figures_is_a_named_error(content: str, tmp_path: Path) -> None:
+    (tmp_path / "figures.json").write_text(content)
+    with pytest.raises(UnreadableFile, match=r"figures\.json (is no readable JSON|holds a (list|int))"):
+        terminal.read_json(tmp_path / "figures.json")
 
 
 @pytest.mark.parametrize(("words", "code", "told"), [("gps list", 130, "stopped"), ("gps list", 2, "away: mug.ply")])

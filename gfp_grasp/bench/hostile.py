@@ -110,7 +110,7 @@ def bench_hostile(
     jobs = [(step, number) for step, count in steps.items() for number in range(count)]
     jobs.sort(key=lambda job: job[1] / steps[job[0]])  # a run that is stopped has had its share of both
     rows: dict[Job, HostileRow] = {}
-    if known is not None and known["settings"].get("seed") == config.seed:
+    if known is not None and known.get("settings", {}).get("seed") == config.seed:
         former = [HostileRow(**record) for record in known["trials"]]
         rows = {(row.step, row.number): row for row in former if row.outcome not in BAD}
         rows = {job: rows[job] for job in jobs if job in rows}

@@ -27,7 +27,7 @@ from rich.text import Text
 
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.export import SUFFIXES
-from gfp_grasp.journal import write_whole
+from gfp_grasp.journal import read_figures, write_whole
 
 Result = TypeVar("Result")
 Track = Callable[[Iterable[Result], int], Iterable[Result]]
@@ -143,8 +143,12 @@ def check_outputs(paths: Sequence[Path]) -> None:
 
 
 def read_json(path: Path | None) -> dict[str, Any] | None:
-    """Figures that a command wrote before; None where it wrote none."""
-    return json.loads(path.read_text(encoding="utf-8")) if path is not None and path.is_file() else None
+    """Figures that a command wrote before; None where it wrote none.
+
+    Raises:
+        UnreadableFile: The file holds something else.
+    """
+    return read_figures(path) if path is not None and path.is_file() else None
 
 
 def gps_option(folders: Sequence[Path] | None) -> str:
