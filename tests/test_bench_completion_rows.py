@@ -250,8 +250,8 @@ def test_rows_of_an_earlier_run_are_kept_under_their_names_of_today(folder, aske
     assert [row["ms"] for row in again["trials"][:3]] == [1.5, 1.5, 500.0]
     assert again["paired"] == {"cup": {}, "mug": {}, "all": {}}
     asked["methods"].clear()
-    changed = {**first, "settings": {**first["settings"], "seed": 6}}
-    assert len(bench_completion(str(folder), methods=("gfs",), config=CONFIG, known=changed)["trials"]) == 4
+    for changed in ({**first, "settings": {**first["settings"], "seed": 6}}, {"trials": first["trials"]}):
+        assert len(bench_completion(str(folder), methods=("gfs",), config=CONFIG, known=changed)["trials"]) == 4
 
 
 def test_the_folders_of_ones_own_primitives_are_named_in_the_settings(folder, asked, monkeypatch):

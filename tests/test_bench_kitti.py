@@ -116,6 +116,7 @@ def test_a_peer_is_told_the_label_s_box_if_that_is_its_way(tree: Path, row: str,
 
     monkeypatch.setattr("gfp_grasp.peers.complete_by_peer", complete, raising=False)
     monkeypatch.setattr("gfp_grasp.completers.registry.check_trained", lambda name, true_box: None)
+    monkeypatch.setattr("gfp_grasp.peers.load_network", lambda name, true_box: None, raising=False)
     found = bench_kitti(tree, config=KittiConfig(rows=(row,)))["rows"][row]
     assert (found["things"], found["refused"]) == (3, 0)
     assert found["size_error"] == pytest.approx(0.0 if row == "pcn-true-box" else 1 / 3, abs=1e-3)

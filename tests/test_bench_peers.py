@@ -2,59 +2,31 @@
 
 import json
 from collections.abc import Callable
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import trimesh
-from bodies import box_part
-from toy_bodies import refined
+from peer_bench import Parts, Shipped, few_methods, methods_that_are_asked, score_row, write_block, write_blocks
 
-from gfp_grasp.bench import CompletionConfig, PeersConfig, bench_completion, bench_peers, completion, peers
-from gfp_grasp.bench.methods import Answer
+from gfp_grasp.bench import CompletionConfig, PeersConfig, bench_completion, bench_peers, peers
 from gfp_grasp.bench.peer_trials import packed, unpacked
 from gfp_grasp.errors import InvalidOption, NoSurface, NotTrained
 from gfp_grasp.peers import PEERS, TRUE_BOX
-from gfp_grasp.score import Report, ScoreRow
 from gfp_grasp.shapes import HOUSEHOLD, IN_PAPER, TRAFFIC
 from gfp_grasp.types import CompletedShape, Detection, OrientedBox
-
-PLAIN = ("partial", "told-pcrnet", "gfpnet")
-
-
-def json_of(value: Any) -> Any:
-    return json.loads(json.dumps(value))
-
-
-def block(*extents: float) -> trimesh.Trimesh:
-    return refined(box_part([0, 0, 0], list(extents)).to_trimesh(), 0.01)
 
 
 @pytest.fixture
 def blocks(tmp_path: Path) -> Path:
-    """Blocks that are called a cup, a box, and nothing."""
-    folder = tmp_path / "blocks"
-    folder.mkdir()
-    for name, extents in {"cup__a": (0.06, 0.05, 0.08), "box__b": (0.08, 0.05, 0.1), "c": (0.07, 0.06, 0.05)}.items():
-        block(*extents).export(folder / f"{name}.ply")
-    return folder
+    return write_blocks(tmp_path / "blocks")
 
 
 @pytest.fixture
-def weights(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[..., None]:
-    """Writes weights of peers by the names of their files; there are none before."""
-    folder = tmp_path / "weights"
-    folder.mkdir()
-    monkeypatch.setattr("gfp_grasp.peers.catalogue.data_dir", lambda name: folder)
-    monkeypatch.setattr(peers, "data_file", lambda name, file: folder / file)
-
-    def write(*stems: str, content: str = "first") -> None:
-        for stem in stems:
-            (folder / f"peer_{stem}.safetensors").write_text(content)
-
-    return write
+def weights(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Shipped:
+    return Shipped(monkeypatch, tmp_path / "shipped")
 
 
 @pytest.fixture
@@ -72,66 +44,19 @@ def known_answers(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("gfp_grasp.peers.complete_by_peer", complete, raising=False)
 
 
-class Parts:
-    """Stand for the other benches; they keep what they were asked, and answer with little."""
-
-    def __init__(self) -> None:
-        self.methods: dict[str, list[tuple[str, ...]]] = {"cost": [], "score": [], "kitti": []}
-        self.score: dict[str, Any] = {}
-
-    def measure_costs(self, methods, *, objects, limit, seed, progress):
-        self.methods["cost"].append(methods)
-        return {name: {"ms": 1.0, "made_in": len(self.methods["cost"])} for name in methods}
-
-    def bench_kitti(self, data, *, config, workers, progress):
-        self.methods["kitti"].append(config.rows)
-        return {"rows": {row: {"things": 2, "mmd_m": 0.1, "each": [1, 2]} for row in config.rows}}
-
-    def try_grasps(self, objects, completers, *, config, workers, journal, progress):
-        self.methods["score"].append(completers)
-        self.score = {"objects": objects, "config": config, "journal": journal}
-        return Report({"no_grip": []}, tuple(score_row(name) for name in completers))
-
-
-def score_row(completer: str) -> ScoreRow:
-    held = completer == "oracle"
-    return ScoreRow(
-        object="a", category="cup", completer=completer, view=0, episode_seed=1, success=held,
-        reason="held" if held else "slipped", lift_m=0.2, slip_m=0.0, falls_free=True, least_friction=0.5,
-        margin=2.0 if held else 0.5, mass_kg=0.1, friction=0.7, grip_n=20.0, completed_success=held,
-        completed_reason="held" if held else "slipped", quality=0.5, width_m=0.05, cd_m=0.001, f_score=0.9,
-        timings_s={"plan": 0.5},
-    )  # fmt: skip
-
-
 @pytest.fixture
 def parts(monkeypatch: pytest.MonkeyPatch) -> Parts:
-    parts = Parts()
-    monkeypatch.setattr(peers, "measure_costs", parts.measure_costs)
-    monkeypatch.setattr(peers, "bench_kitti", parts.bench_kitti)
-    monkeypatch.setattr(peers, "score", parts.try_grasps)
-    return parts
+    return Parts(monkeypatch)
 
 
 @pytest.fixture
 def few(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Few methods and one hidden share, so that real completions take seconds."""
-    monkeypatch.setattr(peers, "BEFORE", ("partial", "told-pcrnet"))
-    monkeypatch.setattr(peers, "AFTER", ("gfpnet",))
-    monkeypatch.setattr(peers, "HIDDEN", (0.6,))
+    few_methods(monkeypatch)
 
 
 @pytest.fixture
 def asked(monkeypatch: pytest.MonkeyPatch) -> list[tuple[str, int, str]]:
-    """Methods that all answer with most of the vertices of the truth; true class, points that were seen, and method."""
-    asked = []
-
-    def run(method, view, told, given, *, library):
-        asked.append((given, len(view.cloud.points), method))
-        return Answer(np.asarray(view.mesh.vertices)[1:])
-
-    monkeypatch.setattr(completion, "run_method", run)
-    return asked
+    return methods_that_are_asked(monkeypatch)
 
 
 def test_a_peer_whose_answer_is_the_truth_is_nearest_and_one_that_is_far_away_loses(
@@ -204,75 +129,14 @@ def test_the_share_that_is_asked_for_is_hidden(blocks: Path, weights: Callable, 
     assert [points / cup for points in hidden] == pytest.approx([1 - share for share in peers.HIDDEN], abs=0.01)
 
 
-def test_what_is_known_is_kept_and_a_peer_that_was_trained_since_is_added(
-    blocks: Path, weights: Callable, parts: Parts, asked: list, few: None
-) -> None:
-    config = PeersConfig(("pcn",), data=blocks, kitti=blocks)
-    weights("pcn")
-    first = bench_peers(config=config)
-    assert {method for *_, method in asked} == {"partial", "told-pcrnet", "pcn", "gfpnet"}
-    assert parts.methods["score"] == [("observed", "pcn", "classfree", "gfpnet", "oracle")]
-    asked.clear()
-    again = bench_peers(config=config, known=json_of(first))
-    assert not asked
-    assert json_of(again) == json_of(first)
-    weights("pcn_true_box")
-    more = bench_peers(config=config, known=json_of(first))
-    assert {method for *_, method in asked} == {"pcn-true-box"}
-    assert [calls[1] for calls in parts.methods.values()] == [("pcn-true-box",)] * 3
-    assert list(more["score"]["completers"]) == ["observed", "pcn", "pcn-true-box", "classfree", "gfpnet", "oracle"]
-    assert more["left_out"] == []
-    weights("pcn", content="trained anew")
-    asked.clear()
-    anew = bench_peers(config=replace(config, peers=("pcn",)), known=json_of(more))
-    assert {method for *_, method in asked} == {"pcn"}
-    assert [calls[2] for calls in parts.methods.values()] == [("pcn",)] * 3
-    assert anew["cost"]["pcn"]["made_in"] == 3
-    assert anew["cost"]["gfpnet"]["made_in"] == 1
-    assert set(anew["groups"]["cup"]) == set(more["groups"]["cup"])
-    asked.clear()
-    bench_peers(config=replace(config, seed=1), known=json_of(anew))
-    assert {method for *_, method in asked} == {"partial", "told-pcrnet", "pcn", "pcn-true-box", "gfpnet"}
-
-
-def test_a_run_that_was_stopped_goes_on_and_loses_nothing_of_what_was_there_before(
-    blocks: Path, weights: Callable, parts: Parts, asked: list, few: None
-) -> None:
-    saved: list[dict] = []
-
-    def stop(report: dict) -> None:
-        saved.append(json_of(report))
-        if len(saved) == 2:
-            raise KeyboardInterrupt
-
-    config = PeersConfig(("pcn",), data=blocks)
-    with pytest.raises(KeyboardInterrupt):
-        bench_peers(config=config, save=stop)
-    assert list(saved[-1]["groups"]) == ["cup", "household"]
-    asked.clear()
-    whole = bench_peers(config=config, known=saved[-1])
-    assert {given for given, *_ in asked} == {"", "cup"}  # things of no class, and what is hidden
-    weights("pcn")
-    saved.clear()
-    with pytest.raises(KeyboardInterrupt):
-        bench_peers(config=config, known=json_of(whole), save=stop)
-    assert set(saved[-1]["groups"]["household"]) == {*PLAIN, "pcn"}
-    assert set(saved[-1]["groups"]["unknown"]) == {"partial", "gfpnet"}
-    assert saved[-1]["score"] == json_of(whole)["score"]
-    asked.clear()
-    bench_peers(config=config, known=saved[-1])
-    assert {method for *_, method in asked} == {"pcn"}
-    assert {given for given, *_ in asked} == {"", "cup"}
-
-
 def test_grasps_of_peers_stand_between_the_brackets_with_paired_tests(
-    blocks: Path, weights: Callable, parts: Parts, asked: list, few: None, tmp_path: Path
+    blocks: Path, weights: Callable, parts: Parts, asked: list, few: None
 ) -> None:
     weights("pcn")
-    report = bench_peers(config=PeersConfig(("pcn",), 2, 7, 5, data=blocks), journal=tmp_path / "rows.jsonl")
+    report = bench_peers(config=PeersConfig(("pcn",), 2, 7, 5, data=blocks))
     config = parts.score["config"]
     assert (config.views, config.limit, config.seed, config.classes) == (2, 7, 5, HOUSEHOLD)
-    assert (parts.score["objects"], parts.score["journal"]) == (str(blocks), tmp_path / "rows.jsonl")
+    assert parts.score["objects"] == str(blocks)
     figures = report["score"]["completers"]
     assert (figures["pcn"]["successes"], figures["oracle"]["successes"]) == (0, 1)
     pair = report["score"]["paired"]["pcn"]["oracle"]
@@ -313,7 +177,9 @@ def test_records_give_back_the_rows_that_they_were_packed_from() -> None:
     records = packed("cup", rows, ("one", "two"))
     assert [record["method"] for record in records] == ["one", "two"]
     assert "error" not in records[0]
-    back = list(unpacked(json_of(records), {"objects": ["a", "b"], "views": 2}, {"a": "cup", "b": "cup"}))
+    back = list(
+        unpacked(json.loads(json.dumps(records)), {"objects": ["a", "b"], "views": 2}, {"a": "cup", "b": "cup"})
+    )
     by_method = sorted(rows, key=lambda row: row["method"])
     assert back == [{"error": None, **row} for row in by_method]
 
@@ -335,14 +201,12 @@ def test_nonsense_is_refused(wrong: dict[str, Any], message: str) -> None:
         PeersConfig(**wrong)
 
 
-def test_a_folder_without_these_classes_and_another_s_report_are_refused(blocks: Path, tmp_path: Path) -> None:
+def test_a_folder_without_these_classes_is_refused(tmp_path: Path) -> None:
     other = tmp_path / "other"
     other.mkdir()
-    block(0.1, 0.1, 0.1).export(other / "whistle__a.ply")
+    write_block(other / "whistle__a.ply", 0.1, 0.1, 0.1)
     with pytest.raises(InvalidOption, match=r"no object of .*other is of a class that is compared"):
         bench_peers(config=PeersConfig(data=other))
-    with pytest.raises(InvalidOption, match="was not written by this bench"):
-        bench_peers(config=PeersConfig(data=blocks), known={"settings": {"seed": 0}, "trials": []})
 
 
 @pytest.mark.parametrize(("protocol", "share"), [("hidden", 1.0), ("hidden", -0.1), ("standard", 0.3)])

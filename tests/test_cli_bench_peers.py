@@ -40,19 +40,19 @@ def test_every_option_is_handed_on_and_every_part_is_printed(
     bench: Recorder, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path
 ) -> None:
     chart = recorded(monkeypatch, "gfp_grasp.drawing.write_peers")
-    file, journal = tmp_path / "peers.json", tmp_path / "peers.part.jsonl"
+    file, journals = tmp_path / "peers.json", tmp_path / "peers.part"
     file.write_text('{"known": 1}')
-    journal.write_text("rows of grasps")
+    left_over(journals)
     words = "bench peers --views 2 --limit 9 --peers pcn,scrg --no-score --resume --workers 3 --seed 4"
     folders = ("--data", tmp_path, "--kitti", tmp_path, "--json", file, "--picture", tmp_path / "a.svg")
     assert run(words, *folders) == 0
     _, how = bench.only
     assert how["config"] == PeersConfig(("pcn", "scrg"), 2, 9, 4, tmp_path, tmp_path, with_score=False)
-    assert (how["known"], how["workers"], how["journal"]) == ({"known": 1}, 3, journal)
+    assert (how["known"], how["workers"], how["journals"]) == ({"known": 1}, 3, journals)
     assert how["progress"]("this") == "bar of this"
     assert chart.only == ((REPORT["groups"], REPORT["occlusion"], tmp_path / "a.svg"), {})
     assert json.loads(file.read_text()) == json.loads(json.dumps(REPORT))
-    assert not journal.exists()
+    assert not journals.exists()
     how["save"]({"half": "done"})
     assert json.loads(file.read_text()) == {"half": "done"}
     printed = capsys.readouterr()
@@ -75,12 +75,42 @@ def test_what_is_not_asked_for_is_not_done(bench: Recorder) -> None:
     assert run("bench peers") == 0
     _, how = bench.only
     assert how["config"] == PeersConfig(tuple(PEERS), 1, 60, 0, None, None, with_score=True)
-    assert (how["known"], how["workers"], how["journal"]) == (None, 1, None)
+    assert (how["known"], how["workers"], how["journals"]) == (None, 1, None)
 
 
-def test_mistakes_are_told_in_a_line(bench: Recorder, capsys: pytest.CaptureFixture[str]) -> None:
+def left_over(journals: Path) -> None:
+    journals.mkdir(exist_ok=True)
+    (journals / "pcn.0123.jsonl").write_text("rows of grasps")
+
+
+@pytest.mark.parametrize("words", ["", "--resume"])
+def test_trials_that_a_stopped_run_left_are_there_for_one_that_goes_on_only(
+    words: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+) -> None:
+    journals, found = tmp_path / "peers.part", []
+
+    def bench(**how: Any) -> dict[str, Any]:
+        found.extend(path.name for path in journals.glob("*"))
+        left_over(journals)
+        return REPORT
+
+    monkeypatch.setattr("gfp_grasp.bench.bench_peers", bench)
+    left_over(journals)
+    (journals / "own.txt").write_text("of the user's")
+    assert run(f"bench peers {words} --json", tmp_path / "peers.json") == 0
+    assert sorted(found) == (["own.txt", "pcn.0123.jsonl"] if words else ["own.txt"])
+    assert [path.name for path in journals.iterdir()] == ["own.txt"]
+
+
+def test_mistakes_are_told_in_a_line(bench: Recorder, capsys: pytest.CaptureFixture[str], tmp_path: Path) -> None:
+    file = tmp_path / "peers.json"
     assert run("bench peers --resume") == 2
     assert "InvalidOption: --resume goes on from the file of --json, which is missing" in capsys.readouterr().err
     assert run("bench peers --peers pcn,magic") == 2
     assert "no peer 'magic': choose one of pcn, foldingnet" in capsys.readouterr().err
+    for content, message in (('{"settings": ', "is no readable JSON"), ("[1]", "holds a list; an object")):
+        file.write_text(content)
+        assert run("bench peers --resume --json", file) == 2
+        assert f"UnreadableFile: {file} {message}" in capsys.readouterr().err
+        assert file.read_text() == content
     assert not bench.calls

@@ -34,7 +34,7 @@ from gfp_grasp.bench.methods import (
     view_object,
 )
 from gfp_grasp.bench.rows import CompletionRow, paired_gain, summarise, table_one
-from gfp_grasp.completers import PEER_COMPLETERS, get_completer
+from gfp_grasp.completers import PEER_COMPLETERS, check_network
 from gfp_grasp.completion import Completion
 from gfp_grasp.errors import GfpGraspError, InvalidOption
 from gfp_grasp.meshes import sample_surface, vertex_normals
@@ -127,13 +127,14 @@ def bench_completion(
     Raises:
         InvalidOption: An unknown method.
         NotTrained: The weights of another network do not ship; the message has the command that trains it.
+        UnreadableFile: The weights of another network are none.
     """
     legal = (*METHODS, *PEER_COMPLETERS)
     unknown = set(methods) - set(legal)
     if unknown:
         raise InvalidOption(f"unknown methods {sorted(unknown)}; legal are {', '.join(legal)}")
     for name in set(methods) & set(PEER_COMPLETERS):
-        get_completer(name)
+        check_network(name)
     library = PrimitiveLibrary.from_option(config.gps)
     if isinstance(objects, str):
         objects = load_objects(objects, split=config.split, limit=config.limit)
@@ -144,7 +145,7 @@ def bench_completion(
     if config.hidden_share == CompletionConfig.hidden_share:
         del settings["hidden_share"]  # as in reports of when there was no other
     kept: dict[tuple[str, int], list[CompletionRow]] = {}
-    if known is not None and known["settings"] == settings:
+    if known is not None and known.get("settings") == settings:
         for record in known["trials"]:
             row = CompletionRow(**{**record, "method": FORMER_NAMES.get(record["method"], record["method"])})
             kept.setdefault((row.object, row.view), []).append(row)

@@ -21,7 +21,7 @@ from gfp_grasp.bench.kitti_detection import detection_rows
 from gfp_grasp.bench.methods import UNDEFORMED, ask_peer, config_of
 from gfp_grasp.camera import range_image
 from gfp_grasp.complete import complete_detection, complete_to_mesh
-from gfp_grasp.completers import PEER_COMPLETERS, get_completer
+from gfp_grasp.completers import PEER_COMPLETERS, check_network
 from gfp_grasp.completion import Completion
 from gfp_grasp.datasets import ALIKE, Scan, TrafficBox, accumulated, read_scans, read_tracks, whole_shapes
 from gfp_grasp.detect import DetectConfig, Road, detect_single, detect_traffic, find_road
@@ -124,12 +124,12 @@ def bench_kitti(
         label. And "detection", as `detection_rows` has it, where there are whole scans.
 
     Raises:
-        UnreadableFile: No scan in the folder.
+        UnreadableFile: No scan in the folder, or the weights of another network are none.
         InvalidOption: Nothing of enough points in it.
         NotTrained: The weights of another network do not ship; the message has the command that trains it.
     """
     for row in set(config.rows) & set(PEER_COMPLETERS):
-        get_completer(row)
+        check_network(row)
     scans = list(street_of_kitti(data, limit=config.limit)) if DETECTED in config.rows else []
     things = _things(data, config)
     if not things:

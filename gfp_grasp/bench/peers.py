@@ -7,29 +7,27 @@ it is worth to a gripper, and KITTI. Every peer stands in both of its ways: arou
 
 from __future__ import annotations
 
-import hashlib
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from gfp_grasp.assets import data_file
 from gfp_grasp.bench.completion import CompletionConfig, bench_completion
-from gfp_grasp.bench.costs import measure_costs
-from gfp_grasp.bench.kitti import PAPER, PARTIAL, WHOLE, KittiConfig, bench_kitti
+from gfp_grasp.bench.costs import NETWORKS, measure_costs
+from gfp_grasp.bench.digests import digest_of, digest_of_meshes, digest_of_scans, digests_of_methods
+from gfp_grasp.bench.kitti import OURS, PAPER, PARTIAL, WHOLE, KittiConfig, bench_kitti
 from gfp_grasp.bench.methods import UNDEFORMED
-from gfp_grasp.bench.peer_trials import IN_SIMULATOR, followed_by, packed, unpacked, without
+from gfp_grasp.bench.peer_trials import IN_SIMULATOR, followed_by, is_report, keep, packed, unpacked, without
 from gfp_grasp.bench.rows import CompletionRow, paired_gain
-from gfp_grasp.completers import PEER_COMPLETERS, get_completer
+from gfp_grasp.completers import PEER_COMPLETERS, check_network
 from gfp_grasp.errors import InvalidOption, NotTrained
 from gfp_grasp.parallel import Progress
-from gfp_grasp.peers import PEERS, TRUE_BOX, get_peer, weights_stem
+from gfp_grasp.peers import PEERS, TRUE_BOX, get_peer
 from gfp_grasp.scenes import ObjectSource, label_of, load_objects
 from gfp_grasp.score import Report, ScoreConfig, ScoreRow, score
 from gfp_grasp.shapes import HOUSEHOLD, IN_PAPER, MIXTURES, TRAFFIC
 from gfp_grasp.types import UNKNOWN
 
-OURS = "gfpnet"
 BEFORE, AFTER = (PARTIAL, "observed", "mirror", *PAPER), ("classfree", UNDEFORMED, OURS)
 BELOW, ABOVE = "observed", ("classfree", OURS, "oracle")  # in the score
 HIDDEN = (0.0, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9)
@@ -84,18 +82,20 @@ class _Run:
     Attributes:
         config: What is compared.
         peers: Completers of PEER_COMPLETERS that are measured.
-        former: An earlier report, or nothing.
+        made_from: Digests of what methods read of the package, by method.
+        former: What still holds of an earlier report, or nothing.
         workers: Number of processes.
         progress: Makes what wraps a part's results.
-        journal: File of the trials of grasps.
+        journals: Folder of the trials of grasps.
     """
 
     config: PeersConfig
     peers: tuple[str, ...]
+    made_from: Mapping[str, str]
     former: Mapping[str, Any]
     workers: int
     progress: Callable[[str], Progress | None]
-    journal: Path | None
+    journals: Path | None
 
     def settings_of(self, part: str) -> Mapping[str, Any]:
         return self.former.get("settings", {}).get(part, {})
@@ -108,47 +108,50 @@ def bench_peers(
     workers: int = 1,
     progress: Callable[[str], Progress | None] = lambda part: None,
     save: Callable[[dict[str, Any]], None] = lambda report: None,
-    journal: Path | None = None,
+    journals: Path | None = None,
 ) -> dict[str, Any]:
     """Set the package beside other networks, and beside the paper's own method.
 
     Args:
         config: What is compared.
-        known: An earlier report. What it has of the same settings is kept, but for peers that were trained anew.
+        known: An earlier report. What it has of the same settings and objects is kept, but for methods whose networks
+            or primitives have changed since; parts that are not asked for are kept whatever their settings.
         workers: Number of processes; costs are measured with nothing beside them.
         progress: Makes what wraps the stream of a part's results, from the part's name.
         save: Given the report so far, after each part.
-        journal: File of the trials of grasps as they come, see `gfp_grasp.score.score`.
+        journals: Folder of the trials of grasps as they come, a file for each completer, see `gfp_grasp.score.score`.
+            Those of the same objects, settings and weights are not made again; the folder is the caller's to remove.
 
     Returns:
         {"settings", "left_out": [{"method", "why"}] of peers without weights, "groups": {group: {method: figures}} with
         the Chamfer distance `cd_m` (mean) and `cd_median_m`, `f_score`, `failed` of `views`, and ms, "paired": {group:
         {method: `paired_gain` of "gfpnet" over it}}, "occlusion": {share that is hidden: {method: figures}}, "cost":
         see `measure_costs`, "score": {"completers", "paired"}, see `gfp_grasp.score.Report`, "kitti": {row: figures of
-        `bench_kitti`}, "trials"}. What was not asked for, or has no object, is empty.
+        `bench_kitti`}, "trials"}. What neither was asked for nor is known, or has no object, is empty.
 
         A trial of a group is one method: its distances, F-scores, ms and errors, for the objects of the group's
         settings in their order and the views of each. A trial of the group "score" is one `ScoreRow`.
 
     Raises:
         InvalidOption: A folder without any object of these classes, or an earlier report of something else.
-        UnreadableFile: A mesh or scan that cannot be read.
+        UnreadableFile: A mesh or scan that cannot be read, or weights that are none of their peer.
     """
-    if known and "weights" not in known.get("settings", {}):
+    if known is not None and not is_report(known):
         raise InvalidOption("what is known was not written by this bench: name a file of its own, or start afresh")
     groups = tuple(_groups(config))
-    weights, left_out = _weights(config.peers, known)
-    former: Mapping[str, Any] = {}
-    if known:
-        former = without(known, {name for name, of in known["settings"]["weights"].items() if weights.get(name) != of})
-    run = _Run(config, tuple(weights), former, workers, progress, journal)
+    before: Mapping[str, str] = {} if known is None else known["settings"]["made_from"]
+    peers, left_out = _trained(config.peers, before)
+    made_from = digests_of_methods(name for name in NETWORKS if name in peers or name not in PEER_COMPLETERS)
+    changed = {name for name in {*before, *made_from} if before.get(name) != made_from.get(name)}
+    former = {} if known is None else without(known, changed)
+    run = _Run(config, peers, made_from, former, workers, progress, journals)
     report: dict[str, Any] = {
         "settings": {
             "views": config.views,
             "limit": config.limit,
             "seed": config.seed,
             "data": None if config.data is None else label_of(config.data),
-            "weights": weights,
+            "made_from": made_from,
             "groups": {},
         },
         "left_out": left_out,
@@ -158,10 +161,14 @@ def bench_peers(
     for group in groups:
         _compare(group, run, report)
         save(followed_by(report, former))
-    for asked, add in ((config.kitti, _drive), (config.with_score, _grasp), (True, _weigh)):
+    for part, asked, add in (("kitti", config.kitti, _drive), ("score", config.with_score, _grasp)):
         if asked:
             add(run, report)
             save(followed_by(report, former))
+        else:
+            keep(part, report, former)
+    _weigh(run, report)
+    save(followed_by(report, former))
     return report
 
 
@@ -202,28 +209,25 @@ def _sources(config: PeersConfig, families: Sequence[str]) -> tuple[ObjectSource
     return tuple(source for source in load_objects(config.data) if source.category in categories)[: config.limit]
 
 
-def _weights(peers: Sequence[str], known: Mapping[str, Any] | None) -> tuple[dict[str, str], list[dict[str, str]]]:
-    """Digests of the weights of the peers that are asked for or were measured before, and what has none."""
-    before = known["settings"]["weights"] if known else {}
-    digests, left_out = {}, []
+def _trained(peers: Sequence[str], before: Collection[str]) -> tuple[tuple[str, ...], list[dict[str, str]]]:
+    """Completers of the peers that are asked for or were measured before, and those of them that have no weights."""
+    trained, left_out = [], []
     for completer in PEER_COMPLETERS:
-        name = completer.removesuffix(TRUE_BOX)
-        if name not in peers and completer not in before:
+        if completer.removesuffix(TRUE_BOX) not in peers and completer not in before:
             continue
         try:
-            get_completer(completer)
+            check_network(completer)
+            trained.append(completer)
         except NotTrained as error:
             left_out.append({"method": completer, "why": str(error)})
-            continue
-        file = data_file("weights", f"{weights_stem(name, true_box=name != completer)}.safetensors")
-        digests[completer] = hashlib.sha256(file.read_bytes()).hexdigest()[:16]
-    return digests, left_out
+    return tuple(trained), left_out
 
 
 def _compare(group: _Group, run: _Run, report: dict[str, Any]) -> None:
     """Add the completions of a group."""
-    known = None
-    if (settings := run.settings_of("groups").get(group.name)) is not None:
+    known, meshes = None, digest_of_meshes(group.sources)
+    settings = dict(run.settings_of("groups").get(group.name, {}))
+    if settings and settings.pop("meshes", None) == meshes:
         categories = {source.name: source.category or UNKNOWN for source in group.sources}
         records = [record for record in run.former["trials"] if record["group"] == group.name]
         known = {"settings": settings, "trials": list(unpacked(records, settings, categories))}
@@ -244,21 +248,20 @@ def _compare(group: _Group, run: _Run, report: dict[str, Any]) -> None:
     else:
         report["occlusion"][str(group.hidden)] = figures
     report["paired"][group.name] = {name: paired_gain(rows, OURS, name) for name in answered if name != OURS}
-    report["settings"]["groups"][group.name] = found["settings"]
+    report["settings"]["groups"][group.name] = {**found["settings"], "meshes": meshes}
     report["trials"] += packed(group.name, found["trials"], answered)
 
 
 def _drive(run: _Run, report: dict[str, Any]) -> None:
     """Add what is completed of KITTI's scans."""
-    assert run.config.kitti is not None
-    how = KittiConfig()
-    settings = {"tree": label_of(run.config.kitti), "frames": how.frames, "least_points": how.least_points}
+    tree, how = run.config.kitti, KittiConfig()
+    assert tree is not None
+    settings = {"tree": label_of(tree), "scans": digest_of_scans(tree)}
+    settings |= {"frames": how.frames, "least_points": how.least_points}
     rows = (PARTIAL, WHOLE, *PAPER, *run.peers, UNDEFORMED, OURS)
     found = dict(run.former["kitti"]) if run.settings_of("kitti") == settings else {}
     if missing := tuple(row for row in rows if row not in found):
-        told = bench_kitti(
-            run.config.kitti, config=KittiConfig(missing), workers=run.workers, progress=run.progress("kitti")
-        )
+        told = bench_kitti(tree, config=KittiConfig(missing), workers=run.workers, progress=run.progress("kitti"))
         for row, figures in told["rows"].items():
             found[row] = {name: value for name, value in figures.items() if name != "each"}
     report["settings"]["kitti"] = settings
@@ -268,20 +271,29 @@ def _drive(run: _Run, report: dict[str, Any]) -> None:
 def _grasp(run: _Run, report: dict[str, Any]) -> None:
     """Add what grasps do that are planned on the completions of household objects, if there are any."""
     config = run.config
-    if not _sources(config, HOUSEHOLD):
+    sources = _sources(config, HOUSEHOLD)
+    if not sources:
         return
     how = ScoreConfig(views=config.views, seed=config.seed, limit=config.limit, classes=HOUSEHOLD)
     objects = ",".join(HOUSEHOLD) if config.data is None else str(config.data)
     asked = {"objects": label_of(objects), **asdict(how), "classes": sorted(HOUSEHOLD)}
+    asked["meshes"] = digest_of_meshes(sources)
     completers = (BELOW, *run.peers, *ABOVE)
     settings, rows = {}, []
     if asked.items() <= run.settings_of("score").items():
         settings = dict(run.settings_of("score"))
         rows = [ScoreRow(**_own(trial)) for trial in run.former["trials"] if trial["group"] == IN_SIMULATOR]
     done = {row.completer for row in rows}
-    if missing := tuple(name for name in completers if name not in done):
+    for name in (name for name in completers if name not in done):
+        # A journal knows the settings only: its name says what else its rows were made from.
+        file = f"{name}.{digest_of([asked, run.made_from.get(name)])}.jsonl"
         made = score(
-            objects, missing, config=how, workers=run.workers, journal=run.journal, progress=run.progress(IN_SIMULATOR)
+            objects,
+            (name,),
+            config=how,
+            workers=run.workers,
+            journal=None if run.journals is None else run.journals / file,
+            progress=run.progress(f"{IN_SIMULATOR} of {name}"),
         )
         settings, rows = {**asked, **made.settings}, [*rows, *made.rows]
     settings["completers"] = list(completers)

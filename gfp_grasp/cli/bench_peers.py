@@ -1,6 +1,7 @@
 """`gfp-grasp bench peers`: the package beside other completion networks."""
 
 from collections.abc import Mapping
+from contextlib import suppress
 from pathlib import Path
 from typing import Annotated
 
@@ -40,7 +41,8 @@ def peers(
 
     Every peer is measured around what was seen, as a robot has it, and told the true box, as its paper has it. One
     whose weights are not there is left out, with a note. With --json, what is finished is in that file after each part,
-    and --resume goes on from it; peers that were trained since are added, those that were trained anew made again.
+    and --resume goes on from it: peers that were trained since are added, what came of other weights, primitives,
+    meshes or scans is made again, and parts that are not asked for stay as they are.
     """
     from gfp_grasp.bench import PeersConfig, bench_peers
     from gfp_grasp.drawing import write_peers
@@ -48,15 +50,19 @@ def peers(
 
     if resume and json_file is None:
         raise InvalidOption("--resume goes on from the file of --json, which is missing")
-    journal = None if json_file is None else json_file.with_name(f"{json_file.stem}.part.jsonl")
     chosen = tuple(PEERS) if names is None else tuple(name.strip() for name in names.split(","))
+    config = PeersConfig(chosen, views, limit, seed, data, kitti, with_score=not no_score)
+    journals = None if json_file is None else json_file.with_name(f"{json_file.stem}.part")
+    known = read_json(json_file) if resume else None
+    if not resume:
+        _remove(journals)
     report = bench_peers(
-        config=PeersConfig(chosen, views, limit, seed, data, kitti, with_score=not no_score),
-        known=read_json(json_file) if resume else None,
+        config=config,
+        known=known,
         workers=workers,
         progress=track,
         save=lambda so_far: save_json(json_file, so_far),
-        journal=journal,
+        journals=journals,
     )
     for left_out in report["left_out"]:
         err.print(f"note: {left_out['method']} is left out: {left_out['why']}", highlight=False, soft_wrap=True)
@@ -74,8 +80,16 @@ def peers(
     if picture is not None:
         write_peers(report["groups"], report["occlusion"], picture)
     save_json(json_file, report)
-    if journal is not None:
-        journal.unlink(missing_ok=True)
+    _remove(journals)
+
+
+def _remove(journals: Path | None) -> None:
+    """Remove the trials of grasps that a run wrote as they came, and their folder if there is nothing else in it."""
+    if journals is not None and journals.is_dir():
+        for journal in journals.glob("*.jsonl"):
+            journal.unlink()
+        with suppress(OSError):
+            journals.rmdir()
 
 
 def _cells(row: Mapping, paired: Mapping | None) -> tuple[str, ...]:

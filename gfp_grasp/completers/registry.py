@@ -266,6 +266,19 @@ def get_completer(name: str, *, library: PrimitiveLibrary | None = None) -> Comp
     return _checked(function)
 
 
+def check_network(name: str) -> None:
+    """Load the network of one of PEER_COMPLETERS, so that what is wrong with it is told before any work is done.
+
+    Raises:
+        NotTrained: Its weights do not ship; the message has the command that trains it.
+        UnreadableFile: The file holds no weights of it.
+    """
+    from gfp_grasp.peers import load_network  # torch is loaded where it is needed only
+
+    peer = name.removesuffix(TRUE_BOX)
+    load_network(peer, true_box=peer != name)
+
+
 def needs_class(name: str) -> bool:
     """Whether a completer, by name, looks at the class of its detection."""
     return name not in _WITHOUT_CLASS and name not in PEER_COMPLETERS  # a user's own may ask for the class
