@@ -9,7 +9,7 @@ from torch import nn
 
 from gfp_grasp.errors import CannotWrite, UnreadableFile
 from gfp_grasp.train import curves_of_cards
-from gfp_grasp.train.curves import LearningCurve
+from gfp_grasp.train.curves import LearningCurve, some_of
 
 
 def curve(path: Path) -> LearningCurve:
@@ -68,3 +68,11 @@ def test_a_card_that_is_none_is_named(content: str, message: str, tmp_path: Path
     (tmp_path / "own.json").write_text(content)
     with pytest.raises(UnreadableFile, match=rf"own\.json {message}|own\.json is {message}"):
         curves_of_cards(tmp_path)
+
+
+def test_a_curve_is_measured_on_samples_from_all_of_a_batch() -> None:
+    batch = (torch.arange(10), torch.arange(10.0) / 4)
+    index, quarter = some_of(batch, 4)
+    assert index.tolist() == [0, 3, 6, 9]
+    assert quarter.tolist() == [0.0, 0.75, 1.5, 2.25]
+    assert some_of(batch, 50)[0].tolist() == list(range(10))

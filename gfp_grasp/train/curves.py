@@ -63,6 +63,12 @@ def _short(value: float) -> float:
     return float(f"{value:.4g}")
 
 
+def some_of(batch: Batch, count: int) -> Batch:
+    """At most so many samples of a batch, evenly spread over it."""
+    index = torch.linspace(0, len(batch[0]) - 1, count).long().unique()
+    return tuple(part[index] for part in batch)
+
+
 def curves_of_cards(folder: Path) -> dict[str, list[tuple[int, float, float]]]:
     """The learning curves that the cards of a folder's weights keep, by file and part of the training.
 

@@ -18,7 +18,7 @@ from gfp_grasp.datasets import layout_of
 from gfp_grasp.deform import WEIGHTS, PaperNet, Variant, make_network
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.shapes import IN_PAPER
-from gfp_grasp.train.curves import LearningCurve
+from gfp_grasp.train.curves import LearningCurve, some_of
 from gfp_grasp.train.gfpnet import begun
 from gfp_grasp.train.loop import Batch, LoopConfig, mean_mm, shuffled, train, training_key, weights_place, write_weights
 from gfp_grasp.train.paper_data import paper_patches
@@ -131,11 +131,10 @@ def train_paper(
     patches, counts = make("train", members=members)
     held_out, _ = make("val", members=max(1, members // 8))
     key = training_key(config, classes, members, num_views, data, before, len(patches[0]))
-    some = torch.linspace(0, len(held_out[0]) - 1, _CURVE_PATCHES).long().unique()
     curve = LearningCurve(
         network,
         paper_loss,
-        tuple(part[some] for part in held_out),
+        some_of(held_out, _CURVE_PATCHES),
         config.bf16,
         runs / "gfpnet" / f"{variant}_{key}_curve.json",
         report,

@@ -21,7 +21,7 @@ from gfp_grasp.register import PCRNet, PoseShape, make_starts, network_input, pc
 from gfp_grasp.scenes import shipped_families
 from gfp_grasp.shapes import TRAFFIC
 from gfp_grasp.train.by_sensor import class_views
-from gfp_grasp.train.curves import LearningCurve
+from gfp_grasp.train.curves import LearningCurve, some_of
 from gfp_grasp.train.loop import Batch, LoopConfig, shuffled, train, training_key, weights_place, write_weights
 from gfp_grasp.train.views import View
 from gfp_grasp.transforms import invert_T, rotation_about, rotation_between
@@ -84,11 +84,10 @@ def train_pcrnet(
 
     network = PCRNet()
     pairs, held_out = samples("train", config.seed, 2), samples("val", config.seed + 1, 1)
-    some = torch.linspace(0, len(held_out[0]) - 1, _CURVE_PAIRS).long().unique()
     key = training_key(config, sensor, categories, library, num_views, limit, data)
     folder = runs / "pcrnet"
     curve = LearningCurve(
-        network, _loss, tuple(part[some] for part in held_out), config.bf16, folder / f"{key}_curve.json", report
+        network, _loss, some_of(held_out, _CURVE_PAIRS), config.bf16, folder / f"{key}_curve.json", report
     )
     network, hours = train(
         network,
