@@ -13,7 +13,7 @@ from peer_bench import Parts, Shipped, few_methods, methods_that_are_asked, scor
 
 from gfp_grasp.bench import CompletionConfig, PeersConfig, bench_completion, bench_peers, peers
 from gfp_grasp.bench.peer_trials import packed, unpacked
-from gfp_grasp.errors import InvalidOption, NoSurface, NotTrained
+from gfp_grasp.errors import InvalidOption, NoSurface
 from gfp_grasp.peers import PEERS, TRUE_BOX
 from gfp_grasp.shapes import HOUSEHOLD, IN_PAPER, TRAFFIC
 from gfp_grasp.types import CompletedShape, Detection, OrientedBox
@@ -230,5 +230,3 @@ def test_a_share_other_than_half_is_named_in_the_settings(blocks: Path, asked: l
         config = CompletionConfig(1, protocol="hidden", hidden_share=share)
         settings = bench_completion(str(blocks), methods=("partial",), config=config)["settings"]
         assert ("hidden_share" in settings) is named
-    with pytest.raises(NotTrained):
-        bench_completion(str(blocks), methods=("foldingnet",))

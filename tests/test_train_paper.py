@@ -138,7 +138,8 @@ def test_a_label_leads_the_fit_onto_the_true_surface() -> None:
     sizes = ((1.0, 1.0, 1.0), size_of_extents(CUP, np.ptp(np.asarray(view.source.load_mesh().vertices), axis=0)))
     off = []
     for size in sizes:
-        verdict, (source, template, target, unit_m) = _rows(view, CUP, pcrnet_config(size=size), label)
+        config = replace(pcrnet_config(size=size), hypotheses=(view.resting,))
+        verdict, (source, template, target, unit_m) = _rows(view, CUP, config, label)
         assert verdict == "kept"
         assert source.shape == template.shape == target.shape == (len(unit_m), 64, 3)
         assert unit_m == pytest.approx(patch_unit_m(CUP))
