@@ -1,6 +1,5 @@
 """What an earlier report of the comparison with other networks still holds, and what is made again."""
 
-import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -8,6 +7,7 @@ from typing import Any
 
 import pytest
 from peer_bench import Parts, Shipped, few_methods, methods_that_are_asked, write_block, write_blocks
+from test_bench_committed import json_of
 
 from gfp_grasp.bench import (
     CompletionConfig,
@@ -21,10 +21,6 @@ from gfp_grasp.bench import (
 from gfp_grasp.errors import InvalidOption, UnreadableFile
 
 PLAIN = ("partial", "told-pcrnet", "gfpnet")
-
-
-def json_of(value: Any) -> Any:
-    return json.loads(json.dumps(value))
 
 
 @pytest.fixture

@@ -224,7 +224,7 @@ def test_the_true_box_has_to_be_given() -> None:
 def test_peers_need_no_class_and_stand_beside_the_completers_of_the_package() -> None:
     assert not any(needs_class(name) for name in PEER_COMPLETERS)
     assert not set(PEER_COMPLETERS) & set(completers.COMPLETERS)
-    assert PEER_COMPLETERS[:2] == ("pcn", "pcn-true-box")
+    assert tuple(PEER_COMPLETERS)[:2] == ("pcn", "pcn-true-box")
     assert not any("/" in name for name in PEER_COMPLETERS)  # which parts a completer from a planner
 
 

@@ -22,7 +22,7 @@ from gfp_grasp.bench.methods import ObjectView, run_method, view_object
 from gfp_grasp.completers import PEER_COMPLETERS
 from gfp_grasp.errors import GfpGraspError, InvalidOption, WorkerLost
 from gfp_grasp.parallel import Progress
-from gfp_grasp.peers import TRUE_BOX, weights_stem
+from gfp_grasp.peers import weights_stem
 from gfp_grasp.scenes import load_objects
 
 # Files of the networks that a method may come to read.
@@ -35,9 +35,7 @@ NETWORKS: Mapping[str, tuple[str, ...]] = {
     "told-pcrnet-gfpnet-paper": (*_PAPER, "gfpnet_paper"),
     "registration": (*_PROPOSALS, "classfree"),
     "gfpnet": (*_PROPOSALS, "classfree", "gfpnet"),
-    **{
-        name: (weights_stem(name.removesuffix(TRUE_BOX), true_box=name.endswith(TRUE_BOX)),) for name in PEER_COMPLETERS
-    },
+    **{name: (weights_stem(peer, true_box=true_box),) for name, (peer, true_box) in PEER_COMPLETERS.items()},
 }
 # Those that fit the primitives of classes as well.
 WITH_PRIMITIVES = ("told-pcrnet", "told-pcrnet-gfs", "told-pcrnet-gfpnet-paper", "registration", "gfpnet")

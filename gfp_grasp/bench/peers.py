@@ -22,7 +22,7 @@ from gfp_grasp.bench.rows import CompletionRow, paired_gain
 from gfp_grasp.completers import PEER_COMPLETERS, check_network
 from gfp_grasp.errors import InvalidOption, NotTrained
 from gfp_grasp.parallel import Progress
-from gfp_grasp.peers import PEERS, TRUE_BOX, get_peer
+from gfp_grasp.peers import PEERS, get_peer
 from gfp_grasp.scenes import ObjectSource, label_of, load_objects
 from gfp_grasp.score import Report, ScoreConfig, ScoreRow, score
 from gfp_grasp.shapes import HOUSEHOLD, IN_PAPER, MIXTURES, TRAFFIC
@@ -212,8 +212,8 @@ def _sources(config: PeersConfig, families: Sequence[str]) -> tuple[ObjectSource
 def _trained(peers: Sequence[str], before: Collection[str]) -> tuple[tuple[str, ...], list[dict[str, str]]]:
     """Completers of the peers that are asked for or were measured before, and those of them that have no weights."""
     trained, left_out = [], []
-    for completer in PEER_COMPLETERS:
-        if completer.removesuffix(TRUE_BOX) not in peers and completer not in before:
+    for completer, (name, _) in PEER_COMPLETERS.items():
+        if name not in peers and completer not in before:
             continue
         try:
             check_network(completer)

@@ -231,7 +231,10 @@ _WITHOUT_CLASS: Mapping[str, Completer] = {
 }
 COMPLETERS = (*_WITHOUT_CLASS, *CONFIGS)
 # Other networks, as a user has them and as their papers normalise; they stand in comparisons where they are named.
-PEER_COMPLETERS = tuple(f"{name}{way}" for name in PEERS for way in ("", TRUE_BOX))
+# {completer: (peer, whether it is told the true box)}.
+PEER_COMPLETERS: Mapping[str, tuple[str, bool]] = {
+    f"{name}{TRUE_BOX if boxed else ''}": (name, boxed) for name in PEERS for boxed in (False, True)
+}
 
 
 def get_completer(name: str, *, library: PrimitiveLibrary | None = None) -> Completer:
@@ -275,8 +278,8 @@ def check_network(name: str) -> None:
     """
     from gfp_grasp.peers import load_network  # torch is loaded where it is needed only
 
-    peer = name.removesuffix(TRUE_BOX)
-    load_network(peer, true_box=peer != name)
+    peer, boxed = PEER_COMPLETERS[name]
+    load_network(peer, true_box=boxed)
 
 
 def needs_class(name: str) -> bool:
@@ -286,9 +289,9 @@ def needs_class(name: str) -> bool:
 
 def _peer(completer: str) -> Completer:
     """A completer of PEER_COMPLETERS; its weights are loaded at its first call."""
-    name = completer.removesuffix(TRUE_BOX)
-    check_trained(name, true_box=name != completer)
-    return partial(complete_as_peer, name=name) if name == completer else InTrueBox(name)
+    name, boxed = PEER_COMPLETERS[completer]
+    check_trained(name, true_box=boxed)
+    return InTrueBox(name) if boxed else partial(complete_as_peer, name=name)
 
 
 def _checked(function: Callable[[Detection], object]) -> Completer:

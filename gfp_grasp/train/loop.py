@@ -158,7 +158,7 @@ def write_weights(
         path: Path of the .safetensors file.
         config: Dataclass with the seed and schedule.
         data: What it was trained on.
-        hours: Of a processor core.
+        hours: Hours of a processor core that the training took.
         metrics: Measured on data it was not trained on, with the float16 weights.
         extra: More of the card.
         beside: Arrays that the file holds beside the network's, by names of their own.

@@ -8,7 +8,7 @@ AVX-512, one thread, nothing beside it), those in the true box ten; how long eac
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -133,7 +133,9 @@ def train_peer(
     how = {"true_box": true_box, "runs": runs, "workers": workers}
     views = peer_views(classes, "train", members=config.members, num_views=config.views, **how)
     val = peer_views(classes, "val", members=max(1, config.members // 15), num_views=1, **how)
-    key = training_key(name, true_box, config, classes, *map(_digest, (views, val)), _digest_of_weights(start))
+    own = () if start is None else (tensor.numpy() for tensor in start.state_dict().values())
+    made_from = [_digest(arrays) for arrays in (_arrays_of(views), _arrays_of(val), own)]
+    key = training_key(name, true_box, config, classes, *made_from)
     course = _Course(config, views, val, runs / "peers", key, report)
     network, hours, curves = _trained(name, course, start)
     network.half().float()  # measured as it will be loaded
@@ -191,21 +193,17 @@ def measure_peer(name: str, network: PeerNetwork, views: Sequence[PeerView], *, 
     return {"views": len(views), "failed": failed, **columns}
 
 
-def _digest(views: Sequence[PeerView]) -> str:
+def _arrays_of(views: Sequence[PeerView]) -> Iterator[np.ndarray]:
     """What views are made of: other views or truths make another training."""
-    digest = hashlib.blake2b(digest_size=8)
-    for view in views:
-        digest.update(view.seen.points.tobytes())
+    yield from (view.seen.points for view in views)
     for truth in dict.fromkeys(view.truth for view in views):
-        for part in (truth.points, truth.distance, truth.wall):
-            digest.update(part.tobytes())
-    return digest.hexdigest()
+        yield from (truth.points, truth.distance, truth.wall)
 
 
-def _digest_of_weights(network: PeerNetwork | None) -> str:
+def _digest(arrays: Iterable[np.ndarray]) -> str:
     digest = hashlib.blake2b(digest_size=8)
-    for tensor in () if network is None else network.state_dict().values():
-        digest.update(tensor.numpy().tobytes())
+    for array in arrays:
+        digest.update(array.tobytes())
     return digest.hexdigest()
 
 
