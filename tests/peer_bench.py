@@ -8,7 +8,7 @@ import pytest
 from bodies import box_part
 from toy_bodies import refined
 
-from gfp_grasp.bench import completion, peers
+from gfp_grasp.bench import completion, peer_groups, peers
 from gfp_grasp.bench.methods import Answer
 from gfp_grasp.journal import Journal
 from gfp_grasp.peers import check_trained
@@ -108,7 +108,7 @@ def few_methods(patch: pytest.MonkeyPatch) -> None:
     """Few methods and one hidden share, so that real completions take seconds."""
     patch.setattr(peers, "BEFORE", ("partial", "told-pcrnet"))
     patch.setattr(peers, "AFTER", ("gfpnet",))
-    patch.setattr(peers, "HIDDEN", (0.6,))
+    patch.setattr(peer_groups, "HIDDEN", (0.6,))
 
 
 def methods_that_are_asked(patch: pytest.MonkeyPatch) -> list[tuple[str, int, str]]:

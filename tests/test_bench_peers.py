@@ -11,7 +11,7 @@ import pytest
 import trimesh
 from peer_bench import Parts, Shipped, few_methods, methods_that_are_asked, score_row, write_block, write_blocks
 
-from gfp_grasp.bench import CompletionConfig, PeersConfig, bench_completion, bench_peers, peers
+from gfp_grasp.bench import CompletionConfig, PeersConfig, bench_completion, bench_peers, peer_groups, peers
 from gfp_grasp.bench.peer_trials import packed, unpacked
 from gfp_grasp.errors import InvalidOption, NoSurface
 from gfp_grasp.peers import PEERS, TRUE_BOX
@@ -126,7 +126,7 @@ def test_the_share_that_is_asked_for_is_hidden(blocks: Path, weights: Callable, 
     seen = [points for given, points, method in asked if given == "cup" and method == "partial"]
     cup, household, *hidden = seen  # the same view in each
     assert cup == household == hidden[0]
-    assert [points / cup for points in hidden] == pytest.approx([1 - share for share in peers.HIDDEN], abs=0.01)
+    assert [points / cup for points in hidden] == pytest.approx([1 - share for share in peer_groups.HIDDEN], abs=0.01)
 
 
 def test_grasps_of_peers_stand_between_the_brackets_with_paired_tests(

@@ -9,7 +9,7 @@ from scipy.spatial import KDTree
 from seen_wedge import points_alone, seen
 
 from gfp_grasp.classfree import REACH, Grid, grid_around
-from gfp_grasp.classfree.surface import surface_from
+from gfp_grasp.classfree.surface import surface_from, with_thin_walls
 from gfp_grasp.errors import NoSurface
 from gfp_grasp.level import make_level_view
 from gfp_grasp.meshes import sample_surface, vertex_normals
@@ -131,3 +131,36 @@ def test_exact_distances_of_a_moved_body_give_the_moved_surface() -> None:
     b = surface_from(distance, _unsure(grid, 0.5), there, moved)
     np.testing.assert_allclose(b.vertices, a.vertices + offset, atol=1e-9)
     assert apply_T(np.eye(4), a.vertices).shape == b.vertices.shape
+
+
+def test_a_wall_between_empty_cells_is_closed_along_any_axis() -> None:
+    across = np.abs(np.arange(14.0) - 5) + 0.3
+    for axis in range(3):
+        distance = np.moveaxis(np.broadcast_to(across[:, None, None], (14, 9, 11)), 0, axis)
+        sunk = np.moveaxis(with_thin_walls(distance), axis, 0)[:, 4, 5]
+        # Three cells off a valley of 0.3 it is at 3.3, so it rises by 3; a cell aside, from 1.3, by 1 at least.
+        np.testing.assert_allclose(sunk[4:7], [1.3 - 0.7 * 0.8, 0.3 - 0.7 * 2.8, 1.3 - 0.7 * 0.8])
+        np.testing.assert_allclose(np.delete(sunk, [4, 5, 6]), np.delete(across, [4, 5, 6]))
+
+
+def test_a_wall_that_is_there_and_a_side_of_something_solid_stay() -> None:
+    cells = np.arange(14.0)
+    for across in (np.abs(cells - 5) - 0.65, cells - 5.3, 6.1 - cells):
+        distance = np.broadcast_to(across[:, None, None], (14, 9, 11))
+        np.testing.assert_array_equal(with_thin_walls(distance), distance)
+
+
+def test_a_hole_in_a_thin_wall_is_closed() -> None:
+    view, grid, _, _ = _case()
+    x, y, z = (grid.cells(grid.middles()) - (np.array(grid.shape) // 2)).T
+    wall = np.maximum(np.abs(y) - 0.65, np.maximum(np.abs(x) - 12, np.abs(z) - 9))
+    unsure = (np.hypot(x - 2, z) < 3) & (np.abs(y) < 4)
+    whole, closed = (
+        surface_from(np.clip(cells, -REACH, REACH).reshape(grid.shape), _unsure(grid, 0.01), grid, view)
+        for cells in (wall, wall + 0.95 * unsure)
+    )
+    made = trimesh.Trimesh(closed.vertices, closed.faces, process=False)
+    assert made.is_volume
+    assert made.euler_number == 2  # that of a ball; a hole would make it 0
+    as_seen = trimesh.Trimesh(whole.vertices, whole.faces, process=False)
+    assert made.volume == pytest.approx(as_seen.volume, rel=0.03)

@@ -44,12 +44,16 @@ def test_every_option_is_handed_on_and_every_part_is_printed(
     file.write_text('{"known": 1}')
     left_over(journals)
     words = "bench peers --views 2 --limit 9 --peers pcn,scrg --no-score --resume --workers 3 --seed 4"
-    folders = ("--data", tmp_path, "--kitti", tmp_path, "--json", file, "--picture", tmp_path / "a.svg")
-    assert run(words, *folders) == 0
+    shapes = recorded(monkeypatch, "gfp_grasp.bench.shapes_of_peers", {"cup": {}})
+    gallery = recorded(monkeypatch, "gfp_grasp.drawing.draw_completions")
+    pictures = ("--picture", tmp_path / "a.svg", "--shapes", tmp_path / "a.png")
+    assert run(words, "--data", tmp_path, "--kitti", tmp_path, "--json", file, *pictures) == 0
     _, how = bench.only
     assert how["config"] == PeersConfig(("pcn", "scrg"), 2, 9, 4, tmp_path, tmp_path, with_score=False)
     assert (how["known"], how["workers"], how["journals"]) == ({"known": 1}, 3, journals)
     assert how["progress"]("this") == "bar of this"
+    assert shapes.only == ((how["config"],), {})
+    assert gallery.only == (({"cup": {}}, tmp_path / "a.png"), {})
     assert chart.only == ((REPORT["groups"], REPORT["occlusion"], tmp_path / "a.svg"), {})
     assert json.loads(file.read_text()) == json.loads(json.dumps(REPORT))
     assert not journals.exists()

@@ -18,7 +18,9 @@ if TYPE_CHECKING:
     from gfp_grasp.bench.kitti import KittiConfig, bench_kitti
     from gfp_grasp.bench.methods import BRIEF, METHODS
     from gfp_grasp.bench.openset import bench_openset
-    from gfp_grasp.bench.peers import PeersConfig, bench_peers
+    from gfp_grasp.bench.peer_groups import PeersConfig
+    from gfp_grasp.bench.peer_shapes import shapes_of_peers
+    from gfp_grasp.bench.peers import bench_peers
     from gfp_grasp.bench.primitives import bench_primitives
     from gfp_grasp.bench.ready import ReadyConfig, bench_ready
     from gfp_grasp.bench.ready_table import check_pages, ready_cells, ready_headings, write_pages
@@ -45,7 +47,7 @@ _HOMES = {
     "bench_hostile": ("hostile", "bench_hostile"),
     "KittiConfig": ("kitti", "KittiConfig"),
     "bench_kitti": ("kitti", "bench_kitti"),
-    "PeersConfig": ("peers", "PeersConfig"),
+    "PeersConfig": ("peer_groups", "PeersConfig"),
     "bench_openset": ("openset", "bench_openset"),
     "bench_peers": ("peers", "bench_peers"),
     "bench_primitives": ("primitives", "bench_primitives"),
@@ -60,6 +62,7 @@ _HOMES = {
     "paint_rooms": ("finding", "paint_rooms"),
     "ready_cells": ("ready_table", "ready_cells"),
     "ready_headings": ("ready_table", "ready_headings"),
+    "shapes_of_peers": ("peer_shapes", "shapes_of_peers"),
     "write_pages": ("ready_table", "write_pages"),
 }
 
@@ -96,6 +99,7 @@ __all__ = [
     "paint_rooms",
     "ready_cells",
     "ready_headings",
+    "shapes_of_peers",
     "write_pages",
 ]
 

@@ -176,10 +176,9 @@ def _rows_of_view(job, *, methods: tuple[str, ...], config: CompletionConfig) ->
     source, number, kept = job
     library = PrimitiveLibrary.from_option(config.gps)
     done = {row.method: row for row in kept}
-    name_seed = int.from_bytes(hashlib.sha256(source.name.encode()).digest()[:4], "little")
-    rng = np.random.default_rng([config.seed, number, name_seed])
-    mesh = source.load_mesh(largest_m=LIDAR.largest_m) if config.protocol == "lidar" else source.load_mesh()
-    view = view_object(mesh, rng, protocol=config.protocol, noise_m=config.noise_m, hidden_share=config.hidden_share)
+    seed = _seed_of(source, number, config)
+    rng = np.random.default_rng(seed)
+    view = _seen(source, config, rng)
     truth = visible_surface(view.mesh, _SAMPLES, rng)
     rows = []
     for method in methods:
@@ -188,7 +187,7 @@ def _rows_of_view(job, *, methods: tuple[str, ...], config: CompletionConfig) ->
             continue
         if is_told_class(method) and not source.category:
             continue
-        own = np.random.default_rng([config.seed, number, name_seed, zlib.crc32(method.encode())])
+        own = np.random.default_rng([*seed, zlib.crc32(method.encode())])
         start = time.perf_counter()
         figures: dict[str, Any] = {"cd_m": None, "f_score": 0.0}
         try:
@@ -208,6 +207,20 @@ def _rows_of_view(job, *, methods: tuple[str, ...], config: CompletionConfig) ->
         category = source.category or UNKNOWN
         rows.append(CompletionRow(object=source.name, category=category, view=number, method=method, ms=ms, **figures))
     return rows
+
+
+def view_of(source: ObjectSource, number: int, config: CompletionConfig) -> ObjectView:
+    """The view of an object that rows of this number are made from."""
+    return _seen(source, config, np.random.default_rng(_seed_of(source, number, config)))
+
+
+def _seed_of(source: ObjectSource, number: int, config: CompletionConfig) -> list[int]:
+    return [config.seed, number, int.from_bytes(hashlib.sha256(source.name.encode()).digest()[:4], "little")]
+
+
+def _seen(source: ObjectSource, config: CompletionConfig, rng: np.random.Generator) -> ObjectView:
+    mesh = source.load_mesh(largest_m=LIDAR.largest_m) if config.protocol == "lidar" else source.load_mesh()
+    return view_object(mesh, rng, protocol=config.protocol, noise_m=config.noise_m, hidden_share=config.hidden_share)
 
 
 def _right_classes(spec: CategorySpec) -> set[str]:

@@ -7,72 +7,31 @@ it is worth to a gripper, and KITTI. Every peer stands in both of its ways: arou
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-from gfp_grasp.bench.completion import CompletionConfig, bench_completion
+from gfp_grasp.bench.completion import bench_completion
 from gfp_grasp.bench.costs import NETWORKS, measure_costs
 from gfp_grasp.bench.digests import digest_of, digest_of_meshes, digest_of_scans, digests_of_methods
 from gfp_grasp.bench.kitti import OURS, PAPER, PARTIAL, WHOLE, KittiConfig, bench_kitti
 from gfp_grasp.bench.methods import UNDEFORMED
+from gfp_grasp.bench.peer_groups import Group, PeersConfig, groups_of, sources_of, trained_of
 from gfp_grasp.bench.peer_trials import IN_SIMULATOR, followed_by, is_report, keep, packed, unpacked, without
 from gfp_grasp.bench.rows import CompletionRow, paired_gain
-from gfp_grasp.completers import PEER_COMPLETERS, check_network
-from gfp_grasp.errors import InvalidOption, NotTrained
+from gfp_grasp.completers import PEER_COMPLETERS
+from gfp_grasp.errors import InvalidOption
 from gfp_grasp.parallel import Progress
-from gfp_grasp.peers import PEERS, get_peer
-from gfp_grasp.scenes import ObjectSource, label_of, load_objects
+from gfp_grasp.scenes import label_of
 from gfp_grasp.score import Report, ScoreConfig, ScoreRow, score
-from gfp_grasp.shapes import HOUSEHOLD, IN_PAPER, MIXTURES, TRAFFIC
+from gfp_grasp.shapes import HOUSEHOLD
 from gfp_grasp.types import UNKNOWN
 
 BEFORE, AFTER = (PARTIAL, "observed", "mirror", *PAPER), ("classfree", UNDEFORMED, OURS)
 BELOW, ABOVE = "observed", ("classfree", OURS, "oracle")  # in the score
-HIDDEN = (0.0, 0.15, 0.3, 0.45, 0.6, 0.75, 0.9)
-GROUPS: Mapping[str, tuple[str, ...]] = {
-    **{name: (name,) for name in IN_PAPER},
-    "household": HOUSEHOLD,
-    UNKNOWN: tuple(MIXTURES),
-}
 _FIGURES = ("cd_m", "cd_median_m", "f_score", "failed", "views", "ms", "ms_p95")
 _COSTED = 20  # objects
-
-
-@dataclass(frozen=True)
-class PeersConfig:
-    """What is compared.
-
-    Attributes:
-        peers: Some of `gfp_grasp.peers.PEERS`; each is measured in both ways, where its weights are there.
-        views: Number of views of each object.
-        limit: Most objects of each group; families take turns, and of a folder the first are taken.
-        seed: Seed of all views.
-        data: Folder of meshes `<class>__<name>`, or `<name>` for things of no class, that are completed and grasped in
-            place of the procedural test split.
-        kitti: Tree of scans, as `bench_kitti` takes it; None leaves this out.
-        with_score: Whether grasps are tried in the simulator.
-    """
-
-    peers: tuple[str, ...] = tuple(PEERS)
-    views: int = 1
-    limit: int = 60
-    seed: int = 0
-    data: Path | None = None
-    kitti: Path | None = None
-    with_score: bool = True
-
-    def __post_init__(self) -> None:
-        for name in self.peers:
-            get_peer(name)
-        if not self.peers or len(set(self.peers)) < len(self.peers):
-            raise InvalidOption(f"peers are {self.peers}; some of {', '.join(PEERS)} are expected, each but once")
-        if min(self.views, self.limit) < 1:
-            raise InvalidOption(f"views is {self.views} and limit {self.limit}; at least 1 of each is expected")
-        for folder in (self.data, self.kitti):
-            if folder is not None and not folder.is_dir():
-                raise InvalidOption(f"{folder} is no folder: data is one of meshes, kitti one of scans")
 
 
 @dataclass(frozen=True)
@@ -138,9 +97,9 @@ def bench_peers(
     """
     if known is not None and not is_report(known):
         raise InvalidOption("what is known was not written by this bench: name a file of its own, or start afresh")
-    groups = tuple(_groups(config))
+    groups = tuple(groups_of(config))
     before: Mapping[str, str] = {} if known is None else known["settings"]["made_from"]
-    peers, left_out = _trained(config.peers, before)
+    peers, left_out = trained_of(config.peers, before)
     made_from = digests_of_methods(name for name in NETWORKS if name in peers or name not in PEER_COMPLETERS)
     changed = {name for name in {*before, *made_from} if before.get(name) != made_from.get(name)}
     former = {} if known is None else without(known, changed)
@@ -172,58 +131,7 @@ def bench_peers(
     return report
 
 
-@dataclass(frozen=True)
-class _Group:
-    """Things that are looked at in one way; `hidden` is the share of them behind a board, None without one."""
-
-    name: str
-    sources: tuple[ObjectSource, ...]
-    views: CompletionConfig
-    hidden: float | None = None
-
-
-def _groups(config: PeersConfig) -> Iterator[_Group]:
-    """Groups that have an object.
-
-    Raises:
-        InvalidOption: There is none.
-    """
-    found = {name: _sources(config, families) for name, families in GROUPS.items()}
-    if not any(found.values()):
-        asked = ", ".join(dict.fromkeys((*IN_PAPER, *HOUSEHOLD)))
-        raise InvalidOption(f"no object of {config.data} is of a class that is compared ({asked}) or of none")
-    for name, sources in found.items():
-        protocol = "lidar" if set(GROUPS[name]) <= set(TRAFFIC) else "standard"
-        if sources:
-            yield _Group(name, sources, CompletionConfig(config.views, config.seed, protocol=protocol))
-    behind = _sources(config, [name for name in IN_PAPER if name in HOUSEHOLD])
-    for share in HIDDEN if behind else ():
-        views = CompletionConfig(config.views, config.seed, protocol="hidden", hidden_share=share)
-        yield _Group(f"hidden {share}", behind, views, share)
-
-
-def _sources(config: PeersConfig, families: Sequence[str]) -> tuple[ObjectSource, ...]:
-    if config.data is None:
-        return load_objects(",".join(families), limit=config.limit)
-    categories = {"" if family in MIXTURES else family for family in families}
-    return tuple(source for source in load_objects(config.data) if source.category in categories)[: config.limit]
-
-
-def _trained(peers: Sequence[str], before: Collection[str]) -> tuple[tuple[str, ...], list[dict[str, str]]]:
-    """Completers of the peers that are asked for or were measured before, and those of them that have no weights."""
-    trained, left_out = [], []
-    for completer, (name, _) in PEER_COMPLETERS.items():
-        if name not in peers and completer not in before:
-            continue
-        try:
-            check_network(completer)
-            trained.append(completer)
-        except NotTrained as error:
-            left_out.append({"method": completer, "why": str(error)})
-    return tuple(trained), left_out
-
-
-def _compare(group: _Group, run: _Run, report: dict[str, Any]) -> None:
+def _compare(group: Group, run: _Run, report: dict[str, Any]) -> None:
     """Add the completions of a group."""
     known, meshes = None, digest_of_meshes(group.sources)
     settings = dict(run.settings_of("groups").get(group.name, {}))
@@ -271,7 +179,7 @@ def _drive(run: _Run, report: dict[str, Any]) -> None:
 def _grasp(run: _Run, report: dict[str, Any]) -> None:
     """Add what grasps do that are planned on the completions of household objects, if there are any."""
     config = run.config
-    sources = _sources(config, HOUSEHOLD)
+    sources = sources_of(config, HOUSEHOLD)
     if not sources:
         return
     how = ScoreConfig(views=config.views, seed=config.seed, limit=config.limit, classes=HOUSEHOLD)

@@ -34,6 +34,9 @@ def peers(
     picture: Annotated[
         Path | None, typer.Option(dir_okay=False, help="Draw distances by class and by what is hidden to this .svg.")
     ] = None,
+    shapes: Annotated[
+        Path | None, typer.Option(dir_okay=False, help="Draw what each makes of one view of each group to this .png.")
+    ] = None,
     workers: Workers = 1,
     seed: Seed = 0,
 ) -> None:
@@ -44,8 +47,8 @@ def peers(
     and --resume goes on from it: peers that were trained since are added, what came of other weights, primitives,
     meshes or scans is made again, and parts that are not asked for stay as they are.
     """
-    from gfp_grasp.bench import PeersConfig, bench_peers
-    from gfp_grasp.drawing import write_peers
+    from gfp_grasp.bench import PeersConfig, bench_peers, shapes_of_peers
+    from gfp_grasp.drawing import draw_completions, write_peers
     from gfp_grasp.peers import PEERS
 
     if resume and json_file is None:
@@ -79,6 +82,8 @@ def peers(
     _print_cost(report["cost"])
     if picture is not None:
         write_peers(report["groups"], report["occlusion"], picture)
+    if shapes is not None:
+        draw_completions(shapes_of_peers(config), shapes)
     save_json(json_file, report)
     _remove(journals)
 

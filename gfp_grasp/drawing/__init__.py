@@ -15,7 +15,7 @@ from gfp_grasp.drawing.charts import (
     spoken,
     without_paths,
 )
-from gfp_grasp.drawing.gallery import draw_modes, draw_primitives
+from gfp_grasp.drawing.gallery import draw_completions, draw_modes, draw_primitives
 from gfp_grasp.drawing.items import Item, gripper_mesh, items_of, joined_boxes, make_item, plan_among
 from gfp_grasp.drawing.learning import write_learning_curves
 from gfp_grasp.drawing.network_charts import write_curves, write_front
@@ -44,6 +44,7 @@ __all__ = [
     "Item",
     "apart",
     "bracket_chart",
+    "draw_completions",
     "draw_modes",
     "draw_primitives",
     "draw_scan",

@@ -100,10 +100,16 @@ def overlay(truth: trimesh.Trimesh, completed: trimesh.Trimesh | None, *, seen_f
     return np.concatenate(panels, axis=1)
 
 
-def shaded_panel(mesh: trimesh.Trimesh) -> np.ndarray:
-    """Picture (h, h, 3) uint8 of one mesh on white, seen from its front and left, from a little above; it fills it."""
+def shaded_panel(mesh: trimesh.Trimesh, *, framed: trimesh.Trimesh | None = None) -> np.ndarray:
+    """Picture (h, h, 3) uint8 of one mesh on white, seen from its front and left, from a little above.
+
+    Args:
+        mesh: The mesh, z up, m.
+        framed: What fills the picture; None for the mesh itself.
+    """
     size = _SUPERSAMPLE * _PANEL_PX
-    centre, radius_m = mesh.bounds.mean(axis=0), float(np.linalg.norm(mesh.extents)) / 2
+    framed = framed or mesh
+    centre, radius_m = framed.bounds.mean(axis=0), float(np.linalg.norm(framed.extents)) / 2
     distance_m = _MARGIN * radius_m / np.sin(np.deg2rad(_FOV_DEG) / 2)
     image, _ = render_mesh_view(
         [mesh],
