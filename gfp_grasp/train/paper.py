@@ -33,7 +33,7 @@ Reading = Literal["as taken", "CD to T", "eq. 3 as printed"]
 # Optimiser and batch are the paper's. At its rate of 1e-4 curves are flat after several times as many steps.
 PAPER_CONFIGS: dict[Variant, LoopConfig] = {
     "paper-iterative": LoopConfig(steps=6000, batch=256, rate=1e-3, decay=0.7),
-    "paper-oneshot": LoopConfig(steps=1500, batch=256),
+    "paper-oneshot": LoopConfig(steps=3000, batch=256, rate=1e-3, decay=0.7),
 }
 
 
