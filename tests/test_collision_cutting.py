@@ -6,7 +6,7 @@ import trimesh
 from bodies import AWAY, WEDGE, WEDGE_M3, l_parts, l_shape, trough
 
 from gfp_grasp.collision import CollisionConfig, convex_part, cut_parts, quick_parts, union_error_m, within_parts
-from gfp_grasp.collision.cutting import _measured, _solid
+from gfp_grasp.collision.cutting import _measured, _ranked, _solid
 from gfp_grasp.collision.parts import volume_m3
 from gfp_grasp.errors import InvalidMesh
 from gfp_grasp.meshes import surface_net
@@ -136,3 +136,39 @@ def test_a_tolerance_is_the_concavity_that_quick_parts_leave():
 def test_quick_parts_of_what_is_no_volume_are_refused():
     with pytest.raises(InvalidMesh, match="make_solid"):
         quick_parts(trimesh.Trimesh(TROUGH.vertices, TROUGH.faces[1:], process=False))
+
+
+@pytest.mark.parametrize("turn_deg", [0, 90])
+def test_quick_parts_leave_an_oval_pot_hollow_however_it_lies(turn_deg: float):
+    """No single plane takes anything off the hull of a ring, and slices of it are as full as the whole."""
+    outer, inner = (trimesh.creation.cylinder(radius=1, height=1, sections=64) for _ in range(2))
+    outer.apply_scale([0.06, 0.05, 0.08])
+    inner.apply_scale([0.055, 0.045, 0.08])
+    inner.apply_translation([0, 0, 0.006])
+    pot = trimesh.boolean.difference([outer, inner])
+    pot.apply_transform(trimesh.transformations.rotation_matrix(np.deg2rad(turn_deg), [1, 0, 0]))
+    found = quick_parts(pot)
+    assert len(found.parts) <= 24
+    assert found.notes["volume_ratio"] < 1.6  # pyright: ignore[reportOperatorIssue]
+    inside = np.array([[0.03, 0.005, -0.02], [-0.02, 0.01, 0.02], [0.004, -0.03, 0.03], [0, 0, 0]])
+    turned = trimesh.transform_points(inside, trimesh.transformations.rotation_matrix(np.deg2rad(turn_deg), [1, 0, 0]))
+    assert not within_parts(turned, found.parts).any()
+    assert found.error_m[2] < 0.008
+
+
+def test_the_plane_that_leaves_the_least_is_taken_first_and_one_through_the_middle_of_a_ring():
+    ell = _measured(_solid(l_shape()))
+    low, high = ell.vertices.min(axis=0), ell.vertices.max(axis=0)
+    planes = [(normal, float(normal @ (low + share * (high - low)))) for normal in np.eye(3) for share in (0.3, 0.5)]
+    first = _ranked(ell, planes)[0]
+    left = [_exact_m3(ell, *plane) for plane in planes]
+    assert first == planes[int(np.argmin(left))]
+    assert min(left) < 0.9 * ell.solid.hull().volume()
+    ring = trimesh.creation.annulus(r_min=0.03, r_max=0.035, height=0.02, sections=48)
+    normal, offset = _ranked(_measured(_solid(ring)), [(np.array([0.0, 0.0, 1.0]), 0.004)])[0]
+    assert abs(normal[2]) < 1e-9
+    assert offset == pytest.approx(0.0, abs=1e-9)
+
+
+def _exact_m3(piece, normal: np.ndarray, offset: float) -> float:
+    return sum(half.hull().volume() for half in piece.solid.split_by_plane(tuple(normal), offset))

@@ -9,6 +9,7 @@ from __future__ import annotations
 import heapq
 import time
 from dataclasses import dataclass
+from itertools import combinations
 
 import manifold3d
 import numpy as np
@@ -30,10 +31,11 @@ _NEAR_AXIS_M = 0.002
 _LEAST_SHARE = 0.02  # of a piece: smaller slices use up the parts without getting anywhere
 _THINNEST_M = 5e-4  # and so do thinner ones
 _BALANCE = 0.1  # of two cuts that save alike, the more even one
-# Quick cuts: shares of the diagonal, and bounds of what is tried.
-_QUICK_DETAIL, _QUICK_CONCAVITY = 0.006, 0.02
+# Quick cuts: shares of the diagonal, the most parts, and the share of a hull that a plane takes off if it is worth it.
+_QUICK_DETAIL, _QUICK_CONCAVITY = 0.008, 0.02
 _QUICK_PARTS = 24
-_QUICK_TRIED = 4  # planes of those that promise most
+_QUICK_GAIN = 0.05
+_ON_PLANE_M = 1e-9
 _SAMPLES, _QUICK_SAMPLES = 2000, 300  # of the error
 
 
@@ -107,12 +109,17 @@ def _measured_parts(
     return CollisionMesh(parts, error_m, "cuts", time.monotonic() - started, notes)
 
 
+_Plane = tuple[np.ndarray, float]  # normal (3,), and the distance from the origin along it
+
+
 @dataclass(frozen=True, eq=False)
 class _Piece:
-    """A connected piece: how concave it is, m, and its deepest vertex (3,) below the hull."""
+    """A connected piece: edges (e, 2), what its hull adds, how concave it is, and its deepest vertex below the hull."""
 
     solid: manifold3d.Manifold
     vertices: np.ndarray
+    edges: np.ndarray
+    added_m3: float
     concavity_m: float
     deepest: np.ndarray
 
@@ -120,6 +127,7 @@ class _Piece:
 def _cut(
     solid: manifold3d.Manifold, axis: np.ndarray, concavity_m: float, max_parts: int, *, quick: bool = False
 ) -> list[_Piece]:
+    """Pieces of a solid. The next to be cut is the most concave one; quick, that whose hull adds most."""
     done: list[_Piece] = []
     heap: list[tuple[float, int, _Piece]] = []
     number = 0
@@ -130,7 +138,7 @@ def _cut(
                 done.append(piece)
             else:
                 number += 1  # breaks ties in the order of making: the same mesh gives the same parts
-                heapq.heappush(heap, (-piece.concavity_m, number, piece))
+                heapq.heappush(heap, (-piece.added_m3 if quick else -piece.concavity_m, number, piece))
         if not heap or len(heap) + len(done) >= max_parts:
             return done + [piece for _, _, piece in heap]
         piece = heapq.heappop(heap)[2]
@@ -142,22 +150,72 @@ def _cut(
 def _best_cut(piece: _Piece, axis: np.ndarray, quick: bool) -> list[_Piece]:
     """Pieces on both sides of the plane that leaves the least hull volume; empty where no plane cuts.
 
-    Quick tries only a few of all planes: those that leave the least hull volume of the vertices on their sides.
+    Quick takes the first plane of `_ranked` that cuts.
     """
     best, least = None, np.inf
     planes = [(normal, offset) for normal, offset in _planes(piece, axis) if _parts(piece, normal, offset)]
-    if quick:
-        planes = sorted(planes, key=lambda plane: _side_hulls_m3(piece, *plane))[:_QUICK_TRIED]
-    for normal, offset in planes:
+    for normal, offset in _ranked(piece, planes) if quick else planes:
         halves = piece.solid.split_by_plane(tuple(normal), float(offset))
         volumes = [half.volume() for half in halves]
         if min(volumes) <= max(_LEAST_PIECE_M3, _LEAST_SHARE * sum(volumes)):
             continue
+        if quick:
+            best = halves
+            break
         hulls = sum(part.hull().volume() for half in halves for part in half.decompose())
         cost = hulls * (1 + _BALANCE * abs(volumes[0] - volumes[1]) / sum(volumes))
         if cost < least:
             best, least = halves, cost
     return [] if best is None else [part for half in best for part in _pieces(half, quick)]
+
+
+def _ranked(piece: _Piece, planes: list[_Plane]) -> list[_Plane]:
+    """Planes by the summed hull volume of what is on their two sides, the least first.
+
+    Of a ring no single plane takes anything off: each half is as convex or concave as the whole. Two planes do, and so
+    where none is worth it alone those through the middle come first, the one of the better pair before the other.
+    """
+    left_m3 = [_sides_m3(piece, *plane) for plane in planes]
+    ranked = [planes[i] for i in np.argsort(left_m3, kind="stable")]
+    worth_m3 = (1 - _QUICK_GAIN) * _hull_m3(piece.vertices)
+    if not planes or min(left_m3) < worth_m3:
+        return ranked
+    low, high = piece.vertices.min(axis=0), piece.vertices.max(axis=0)
+    middles = [(normal, float(normal @ (low + high) / 2)) for normal in np.eye(3)]
+    pairs_m3 = {(i, j): _quarters_m3(piece, middles[i], middles[j]) for i, j in combinations(range(3), 2)}
+    if min(pairs_m3.values()) >= worth_m3:
+        return ranked
+    best_m3 = [min(left for pair, left in pairs_m3.items() if i in pair) for i in range(3)]
+    return [middles[i] for i in np.lexsort((low - high, best_m3))] + ranked
+
+
+def _sides_m3(piece: _Piece, normal: np.ndarray, offset: float) -> float:
+    """Summed volume of the hulls of what is on either side of a plane."""
+    along = piece.vertices @ normal - offset
+    section = _section(piece, along)
+    return sum(_hull_m3(np.concatenate([piece.vertices[side], section])) for side in (along > 0, along < 0))
+
+
+def _quarters_m3(piece: _Piece, first: _Plane, second: _Plane) -> float:
+    """Summed volume of the hulls of what is on either side of two planes."""
+    sections = [_section(piece, piece.vertices @ normal - offset) for normal, offset in (first, second)]
+    points = np.concatenate([piece.vertices, *sections])
+    along = [points @ normal - offset for normal, offset in (first, second)]
+    within = [[sign * height >= -_ON_PLANE_M for sign in (1, -1)] for height in along]
+    return sum(_hull_m3(points[one & other]) for one in within[0] for other in within[1])
+
+
+def _section(piece: _Piece, along: np.ndarray) -> np.ndarray:
+    """(n, 3) points where edges of a piece cross a plane, from the signed distances (v,) of its vertices to it."""
+    start, end = along[piece.edges].T
+    crossing = start * end < 0
+    start, end = start[crossing, None], end[crossing, None]
+    first, last = piece.vertices[piece.edges[crossing]].transpose(1, 0, 2)
+    return first + start / (start - end) * (last - first)
+
+
+def _hull_m3(points: np.ndarray) -> float:
+    return manifold3d.Manifold.hull_points(points).volume() if len(points) > 3 else 0.0
 
 
 def _parts(piece: _Piece, normal: np.ndarray, offset: float) -> bool:
@@ -166,14 +224,7 @@ def _parts(piece: _Piece, normal: np.ndarray, offset: float) -> bool:
     return bool(along.min() < -_THINNEST_M < _THINNEST_M < along.max())
 
 
-def _side_hulls_m3(piece: _Piece, normal: np.ndarray, offset: float) -> float:
-    """Summed volume of the hulls of the vertices on either side of a plane."""
-    above = piece.vertices @ normal > offset
-    sides = (piece.vertices[above], piece.vertices[~above])
-    return sum(manifold3d.Manifold.hull_points(side).volume() for side in sides if len(side) > 3)
-
-
-def _planes(piece: _Piece, axis: np.ndarray) -> list[tuple[np.ndarray, float]]:
+def _planes(piece: _Piece, axis: np.ndarray) -> list[_Plane]:
     """Candidate planes (normal, offset): through the object's axis, level, around it, and square to x and y."""
     low, high = piece.vertices.min(axis=0), piece.vertices.max(axis=0)
     deep, up = piece.deepest, np.array([0.0, 0.0, 1.0])
@@ -201,10 +252,12 @@ def _measured(solid: manifold3d.Manifold, *, middles: bool = False) -> _Piece:
     """A piece, as concave as its deepest vertex, or as the deepest middle of a face where those count too."""
     mesh = solid.to_mesh()
     vertices = np.asarray(mesh.vert_properties, dtype=np.float64)[:, :3]
+    edges = np.concatenate([mesh.tri_verts[:, pair] for pair in ([0, 1], [1, 2], [2, 0])])
+    edges = edges[edges[:, 0] < edges[:, 1]]  # each stands in two faces, once in either direction
     try:
         hull = ConvexHull(vertices)
     except QhullError:  # flat: its hull is dropped later
-        return _Piece(solid, vertices, 0.0, vertices[0])
+        return _Piece(solid, vertices, edges, 0.0, 0.0, vertices[0])
     depth = _depth_m(vertices, hull)
     deepest = int(np.argmax(depth))
     # A ring or a bow whose vertices all lie on its hull is found by what it leaves empty, however thin it is: the share
@@ -214,7 +267,7 @@ def _measured(solid: manifold3d.Manifold, *, middles: bool = False) -> _Piece:
     deep_m = max(float(depth[deepest]), gap)
     if middles:
         deep_m = max(deep_m, float(_depth_m(vertices[mesh.tri_verts].mean(axis=1), hull).max()))
-    return _Piece(solid, vertices, deep_m, vertices[deepest])
+    return _Piece(solid, vertices, edges, hull.volume - solid.volume(), deep_m, vertices[deepest])
 
 
 def _depth_m(points: np.ndarray, hull: ConvexHull) -> np.ndarray:
