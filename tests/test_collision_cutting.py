@@ -149,7 +149,7 @@ def test_quick_parts_leave_an_oval_pot_hollow_however_it_lies(turn_deg: float):
     pot.apply_transform(trimesh.transformations.rotation_matrix(np.deg2rad(turn_deg), [1, 0, 0]))
     found = quick_parts(pot)
     assert len(found.parts) <= 24
-    assert found.notes["volume_ratio"] < 1.6  # pyright: ignore[reportOperatorIssue]
+    assert found.notes["volume_ratio"] < 1.8  # pyright: ignore[reportOperatorIssue]
     inside = np.array([[0.03, 0.005, -0.02], [-0.02, 0.01, 0.02], [0.004, -0.03, 0.03], [0, 0, 0]])
     turned = trimesh.transform_points(inside, trimesh.transformations.rotation_matrix(np.deg2rad(turn_deg), [1, 0, 0]))
     assert not within_parts(turned, found.parts).any()

@@ -173,7 +173,7 @@ def _ranked(piece: _Piece, planes: list[_Plane]) -> list[_Plane]:
     """Planes by the summed hull volume of what is on their two sides, the least first.
 
     Of a ring no single plane takes anything off: each half is as convex or concave as the whole. Two planes do, and so
-    where none is worth it alone those through the middle come first, the one of the better pair before the other.
+    where none is worth it alone the best two through the middle come first, the one across the longer side at the head.
     """
     left_m3 = [_sides_m3(piece, *plane) for plane in planes]
     ranked = [planes[i] for i in np.argsort(left_m3, kind="stable")]
@@ -181,19 +181,21 @@ def _ranked(piece: _Piece, planes: list[_Plane]) -> list[_Plane]:
     if not planes or min(left_m3) < worth_m3:
         return ranked
     low, high = piece.vertices.min(axis=0), piece.vertices.max(axis=0)
-    middles = [(normal, float(normal @ (low + high) / 2)) for normal in np.eye(3)]
-    pairs_m3 = {(i, j): _quarters_m3(piece, middles[i], middles[j]) for i, j in combinations(range(3), 2)}
-    if min(pairs_m3.values()) >= worth_m3:
+    middles = [(normal, float(normal @ (low + high) / 2)) for normal in np.eye(3)[np.argsort(low - high)]]
+    middles = [plane for plane in middles if _parts(piece, *plane)]
+    pairs = list(combinations(range(len(middles)), 2))
+    pairs_m3 = [_quarters_m3(piece, middles[i], middles[j]) for i, j in pairs]
+    if not pairs or min(pairs_m3) >= worth_m3:
         return ranked
-    best_m3 = [min(left for pair, left in pairs_m3.items() if i in pair) for i in range(3)]
-    return [middles[i] for i in np.lexsort((low - high, best_m3))] + ranked
+    first, second = pairs[int(np.argmin(pairs_m3))]
+    return [middles[first], middles[second], *ranked]
 
 
 def _sides_m3(piece: _Piece, normal: np.ndarray, offset: float) -> float:
     """Summed volume of the hulls of what is on either side of a plane."""
     along = piece.vertices @ normal - offset
     section = _section(piece, along)
-    return sum(_hull_m3(np.concatenate([piece.vertices[side], section])) for side in (along > 0, along < 0))
+    return sum(_hull_m3(np.concatenate([piece.vertices[side], section])) for side in (along >= 0, along <= 0))
 
 
 def _quarters_m3(piece: _Piece, first: _Plane, second: _Plane) -> float:
