@@ -128,7 +128,7 @@ def test_methods_end_where_they_have_ended(
     lowered = (free.vertices - found.vertices)[foot]
     np.testing.assert_allclose(lowered[:, :2], 0.0, atol=1e-12)
     assert lowered[:, 2].min() > -1e-12
-    assert 1e-4 < lowered[:, 2].max() < 2e-3
+    assert 1e-4 < lowered[:, 2].max() < (2e-3 if method == "gfpnet-oneshot" else 1.1e-3)
 
 
 def test_contours_end_where_they_have_ended() -> None:

@@ -88,6 +88,7 @@ def groups_of(config: PeersConfig) -> Iterator[Group]:
 
 
 def sources_of(config: PeersConfig, families: Sequence[str]) -> tuple[ObjectSource, ...]:
+    """The objects of some families, or the meshes of their classes in the folder that is compared."""
     if config.data is None:
         return load_objects(",".join(families), limit=config.limit)
     categories = {"" if family in MIXTURES else family for family in families}

@@ -29,8 +29,8 @@ def shapes_of_peers(config: PeersConfig) -> dict[str, dict[str, trimesh.Trimesh 
         {group: {method: mesh, or points (n, 3), m}}, the truth first. In their frame the camera looks along +x, z is
         up, and the truth stands on z = 0. A method that has no answer is left out.
     """
-    around = {completer for completer, (_, boxed) in PEER_COMPLETERS.items() if not boxed}
-    peers = tuple(name for name in trained_of(config.peers, ())[0] if name in around)
+    trained, _ = trained_of(config.peers, ())
+    peers = tuple(name for name in trained if not PEER_COMPLETERS[name][1])  # those that are not told the true box
     found: dict[str, dict[str, trimesh.Trimesh | np.ndarray]] = {}
     shown: set[str] = set()
     for group in groups_of(config):
@@ -67,4 +67,4 @@ def _towards_x(view: ObjectView) -> np.ndarray:
 def _moved(surface: trimesh.Trimesh | np.ndarray, T: np.ndarray) -> trimesh.Trimesh | np.ndarray:
     if isinstance(surface, np.ndarray):
         return apply_T(T, surface)
-    return trimesh.Trimesh(apply_T(T, np.asarray(surface.vertices)), surface.faces, process=False)
+    return surface.copy().apply_transform(T)

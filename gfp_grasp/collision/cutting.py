@@ -172,7 +172,7 @@ def _best_cut(piece: _Piece, axis: np.ndarray, quick: bool) -> list[_Piece]:
 def _ranked(piece: _Piece, planes: list[_Plane]) -> list[_Plane]:
     """Planes by the summed hull volume of what is on their two sides, the least first.
 
-    Of a ring no single plane takes anything off: each half is as convex or concave as the whole. Two planes do, and so
+    No single plane takes anything off a ring: each half is as convex or concave as the whole. Two planes do, and so
     where none is worth it alone the best two through the middle come first, the one across the longer side at the head.
     """
     left_m3 = [_sides_m3(piece, *plane) for plane in planes]

@@ -10,6 +10,7 @@ import trimesh
 from PIL import Image, ImageDraw
 
 from gfp_grasp.drawing.pictures import shaded_panel
+from gfp_grasp.journal import write_file
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.transforms import make_T, rotation_about
 from gfp_grasp.types import GenericPrimitive
@@ -57,6 +58,9 @@ def draw_completions(rows: Mapping[str, Mapping[str, trimesh.Trimesh | np.ndarra
         rows: {view: {completer: mesh, or points (n, 3), m}}; z is up, and the camera of the view looks along +x. The
             first of each row is the true shape, which all of its row are framed by.
         path: A .png file.
+
+    Raises:
+        CannotWrite: There is no room, no right, or no such place.
     """
     columns = list(dict.fromkeys(name for row in rows.values() for name in row))
     canvas = Image.new("RGB", (_SMALL_PX * len(columns), _STRIP_PX + _SMALL_PX * len(rows)), "white")
@@ -72,7 +76,7 @@ def draw_completions(rows: Mapping[str, Mapping[str, trimesh.Trimesh | np.ndarra
         draw.text((6, top + _SMALL_PX - 20), view, fill=_INK, font_size=14)
     for number, name in enumerate(columns):
         draw.text((_SMALL_PX * number + 6, 5), name, fill=_INK, font_size=13)
-    canvas.quantize(64).save(path, optimize=True)
+    _write(canvas, path)
 
 
 def _turned(shape: trimesh.Trimesh | np.ndarray, dot_m: float) -> trimesh.Trimesh:
@@ -107,4 +111,8 @@ def _write_grid(panels: Sequence[np.ndarray], columns: int, path: Path) -> None:
     white = np.full_like(panels[0], 255)
     padded = [*panels, *[white] * (-len(panels) % columns)]
     rows = [np.concatenate(padded[i : i + columns], axis=1) for i in range(0, len(padded), columns)]
-    Image.fromarray(np.concatenate(rows)).quantize(64).save(path, optimize=True)
+    _write(Image.fromarray(np.concatenate(rows)), path)
+
+
+def _write(picture: Image.Image, path: Path) -> None:
+    write_file(path, lambda file: picture.quantize(64).save(file, "PNG", optimize=True))
