@@ -28,11 +28,12 @@ from gfp_grasp.bench.hollow import HollowRow
 from gfp_grasp.bench.hostile import HostileRow
 from gfp_grasp.bench.methods import FORMER_NAMES
 from gfp_grasp.bench.openset import report_of
+from gfp_grasp.bench.peer_trials import unpacked
 from gfp_grasp.bench.ready import by_group
 from gfp_grasp.bench.ready_rows import SceneRow, ViewRow
 from gfp_grasp.bench.registration import FitRow
 from gfp_grasp.bench.rows import CompletionRow
-from gfp_grasp.completers import COMPLETERS
+from gfp_grasp.completers import COMPLETERS, PEER_COMPLETERS
 from gfp_grasp.envs import TrialSettings
 from gfp_grasp.score import Report, ScoreConfig, ScoreRow
 from gfp_grasp.train import CACHE, OpenSetRow, ViewsConfig
@@ -127,6 +128,28 @@ def test_figures_of_scores_follow_from_their_rows(name: str):
     report = committed(name)
     again = Report(report["settings"], tuple(ScoreRow(**row) for row in report["trials"]))
     assert json.loads(again.to_json()) == report
+
+
+@pytest.mark.parametrize("name", ["peers_test", "peers_real"])
+def test_figures_of_the_comparison_with_other_networks_follow_from_their_trials(name: str):
+    report = committed(name)
+    compared = report["groups"] | {f"hidden {share}": figures for share, figures in report["occlusion"].items()}
+    assert len(compared) >= 12
+    for group, figures in compared.items():
+        records = [trial for trial in report["trials"] if trial["group"] == group]
+        found = [CompletionRow(**row) for row in unpacked(records, report["settings"]["groups"][group], {})]
+        assert set(figures) >= set(PEER_COMPLETERS)
+        for method, of_method in figures.items():
+            again = rows.summarise([row for row in found if row.method == method])
+            assert {figure: again[figure] for figure in of_method} == of_method
+        for method, gain in report["paired"][group].items():
+            assert rows.paired_gain(found, "gfpnet", method) == gain
+    grasped = [
+        {k: v for k, v in trial.items() if k != "group"} for trial in report["trials"] if trial["group"] == "score"
+    ]
+    scored = Report(report["settings"]["score"], tuple(ScoreRow(**trial) for trial in grasped))
+    assert json_of(scored.completers()) == report["score"]["completers"]
+    assert set(report["cost"]) >= set(PEER_COMPLETERS)
 
 
 def test_figures_of_readiness_follow_from_their_rows_and_are_of_every_completer():
