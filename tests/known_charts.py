@@ -65,8 +65,8 @@ def curves(path: Path) -> str:
 def front(path: Path) -> str:
     """Six networks, three of them in front, and one of these marked."""
     ms = (0.8, 30.0, 12.0, 210.0, 2.5, 60.0)
-    cd_mm = (9.75, 9.1, 8.6, 8.125, 10.5, 9.9)
-    rows = [{"name": f"<{i}>, m = {i}", "ms": m, "cd_mm": c} for i, (m, c) in enumerate(zip(ms, cd_mm, strict=True))]
+    cd = (9.75, 9.1, 8.6, 8.125, 10.5, 9.9)
+    rows = [{"name": f"<{i}>, m = {i}", "ms": m, "cd_units": c} for i, (m, c) in enumerate(zip(ms, cd, strict=True))]
     found = [rows[0], rows[2], rows[3]]
     return write_front(rows, found, rows[3], path, title="Networks & more").read_text(encoding="utf-8")
 

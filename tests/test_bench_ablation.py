@@ -11,7 +11,7 @@ from torch import nn
 
 from gfp_grasp.bench import AblationConfig, ablation, bench_ablation, paper_nets
 from gfp_grasp.bench.ablation import DIVISORS, ITERATIONS, WIDTHS
-from gfp_grasp.bench.paper_nets import Architecture, Budget, call_ms, chamfers_mm, read_patches, train_paper_net
+from gfp_grasp.bench.paper_nets import Architecture, Budget, call_ms, chamfers, read_patches, train_paper_net
 from gfp_grasp.deform import PaperNet
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.train import LoopConfig, looped_loss
@@ -40,8 +40,8 @@ def test_the_distance_of_predicted_sets_is_taken_both_ways_in_the_patches_own_un
     network = Shifting()
     source, template, target, unit_m = patches(40)
     unit_m[::2] = 0.04
-    found = chamfers_mm(network, (source, template, target, unit_m), 3)
-    assert found == pytest.approx([2 * 0.1 * m * 0.03 * 1000 for m in (1, 2, 3)], abs=2e-4)
+    found = chamfers(network, (source, template, target, unit_m), 3)
+    assert found == pytest.approx([2 * 0.1 * m for m in (1, 2, 3)], abs=2e-5)
     assert network.asked == [(16, 1), (16, 1), (8, 1)] * 3
 
 
@@ -51,8 +51,9 @@ def test_sets_that_are_looped_back_by_hand_are_those_of_the_network():
     source, template, target = (torch.randn(40, 64, 3) for _ in range(3))
     with torch.inference_mode():
         pairwise = torch.cdist(network(source, template, iterations=3), target)
-    expected = float((pairwise.amin(dim=2).mean(dim=1) + pairwise.amin(dim=1).mean(dim=1)).mean()) * 1000
-    assert chamfers_mm(network, (source, template, target, torch.ones(40)), 3)[2] == pytest.approx(expected, rel=1e-5)
+    expected = float((pairwise.amin(dim=2).mean(dim=1) + pairwise.amin(dim=1).mean(dim=1)).mean())
+    found = chamfers(network, (source, template, target, torch.full((40,), 7.0)), 3)
+    assert found[2] == pytest.approx(expected, abs=1e-5)
 
 
 @pytest.mark.parametrize(("noise_m", "deviation"), [(0.0, 0.0), (0.01, 0.5)])
@@ -163,10 +164,10 @@ def test_every_row_is_trained_alike_and_measured_at_each_third_and_each_number_o
     begun: list[str] = []
     report = bench_ablation(config=CONFIG, runs=tmp_path, workers=6, report=begun.append)
     assert begun == list(report["rows"]) == NAMES
-    cd_mm = [2 * 0.1 * m * 0.02 * 1000 for m in range(1, 8)]
+    cd_units = [2 * 0.1 * m for m in range(1, 8)]
     for name, row in report["rows"].items():
-        assert row["cd_mm"] == pytest.approx(cd_mm, abs=2e-4)
-        assert row["thirds_mm"] == pytest.approx([cd_mm[4]] * 3, abs=2e-4)
+        assert row["cd_units"] == pytest.approx(cd_units, abs=2e-5)
+        assert row["thirds"] == pytest.approx([cd_units[4]] * 3, abs=2e-5)
         assert row["widths"] == [int(width) for width in name.split(",")[0].split("-")]
         assert (row["parameters"], row["hours"]) == (0, 0.1235)
         assert row["noise_m"] == (0.02 if "noise" in name else 0.0)
@@ -188,14 +189,14 @@ def test_a_row_that_is_finished_is_read_back_and_one_that_was_stopped_goes_on_wh
     whole = bench_ablation(config=CONFIG, runs=tmp_path)
     folder = tmp_path / "ablation" / "7_5_4_2_3"
     (folder / "16-256.json").unlink()
-    (folder / "32-512.json").write_text('{"thirds_mm": [30.5, 20.25]}')
+    (folder / "32-512.json").write_text('{"thirds": [30.5, 20.25]}')
     for calls in trained.values():
         calls.clear()
     begun: list[str] = []
     again = bench_ablation(config=CONFIG, runs=tmp_path, report=begun.append)
     assert begun == ["16-256", "32-512"]
     assert [until for name, *_, until in trained["runs"] if name == "32-512.pt"] == [7]
-    assert again["rows"].pop("32-512")["thirds_mm"][:2] == [30.5, 20.25]
+    assert again["rows"].pop("32-512")["thirds"][:2] == [30.5, 20.25]
     whole["rows"].pop("32-512")
     assert again == whole
     bench_ablation(config=replace(CONFIG, noise_m=0.03), runs=tmp_path, report=begun.append)
@@ -209,10 +210,10 @@ def test_a_network_goes_on_from_third_to_third(tmp_path, monkeypatch):
     monkeypatch.setattr(ablation, "_plan", lambda noise_m: {"8-16": ablation._Kind((8, 16))})
     report = bench_ablation(config=AblationConfig(steps=6, batch=8, limit=1, views=1), runs=tmp_path)
     (row,) = report["rows"].values()
-    assert len(row["cd_mm"]) == 7
-    assert min(row["cd_mm"]) > 0
-    assert len(set(row["thirds_mm"])) == 3  # the network went on between them
-    assert row["thirds_mm"][2] == row["cd_mm"][4]
+    assert len(row["cd_units"]) == 7
+    assert min(row["cd_units"]) > 0
+    assert len(set(row["thirds"])) == 3  # the network went on between them
+    assert row["thirds"][2] == row["cd_units"][4]
     assert row["parameters"] == sum(p.numel() for p in PaperNet((8, 16)).parameters())
 
 

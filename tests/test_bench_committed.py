@@ -169,8 +169,8 @@ def test_the_ablation_was_made_with_the_defaults_and_has_every_row():
     assert len(report["rows"]) == 15
     assert "64-128-1024, 0.01 m noise" in report["rows"]
     for row in report["rows"].values():
-        assert len(row["cd_mm"]) == len(ITERATIONS) == 7
-        assert row["thirds_mm"][2] == row["cd_mm"][4]
+        assert len(row["cd_units"]) == len(ITERATIONS) == 7
+        assert row["thirds"][2] == row["cd_units"][4]
 
 
 @pytest.mark.parametrize("protocol", ["standard", "fallen", "hidden", "noisy"])

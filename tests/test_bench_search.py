@@ -14,8 +14,8 @@ from gfp_grasp.errors import InvalidOption
 CONFIG = SearchConfig(steps=5, batch=4, limit=3, views=2, seed=1, trials=14, population=4)
 
 
-def row(ms: float, cd_mm: float) -> dict[str, float]:
-    return {"ms": ms, "cd_mm": cd_mm}
+def row(ms: float, cd_units: float) -> dict[str, float]:
+    return {"ms": ms, "cd_units": cd_units}
 
 
 def test_the_front_has_what_no_other_network_matches_in_both():
@@ -48,7 +48,7 @@ def trained(monkeypatch) -> list[Architecture]:
         trained.append(architecture)
         size = num_parameters(architecture.make(0))
         parts = {"widths": list(architecture.widths), "hidden": list(architecture.hidden)}
-        figures = {"ms": size / 1e5 * architecture.iterations, "cd_mm": 1e6 / size}
+        figures = {"ms": size / 1e5 * architecture.iterations, "cd_units": 1e6 / size}
         return {"name": name_of(architecture), "iterations": architecture.iterations, **parts, **figures}
 
     monkeypatch.setattr(search, "_measure", measure)
@@ -99,11 +99,11 @@ def test_one_network_is_trained_and_measured(tmp_path, monkeypatch):
     architecture = Architecture((8, 16), 2, (32, 16, 8))
     monkeypatch.setattr(paper_nets, "_CALLS", 3)
     found = search._measure(architecture, paper_nets.PatchSets(sets, sets), CONFIG, tmp_path)
-    assert list(found) == ["name", "widths", "iterations", "hidden", "parameters", "ms", "cd_mm", "hours"]
+    assert list(found) == ["name", "widths", "iterations", "hidden", "parameters", "ms", "cd_units", "hours"]
     assert (found["name"], found["widths"], found["hidden"]) == ("8-16, 32-16-8, m = 2", [8, 16], [32, 16, 8])
     assert found["parameters"] == num_parameters(architecture.make(0))
     assert 0 < found["ms"] < 1000
-    assert 0 < found["cd_mm"] < 500
+    assert 0 < found["cd_units"] < 20
     assert not list(tmp_path.iterdir())  # its checkpoint is gone
     assert search._architecture(found) == architecture
 

@@ -174,15 +174,27 @@ def test_detection_hands_on_every_option(
 def test_ablation_hands_on_every_option_and_prints_a_column_for_each_number_of_iterations(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, json_file: Path
 ) -> None:
-    cd_mm, plain = [7.126, 6.0, 5.0, 4.0, 3.0, 2.0, 1.004], {"noise_m": 0.0, "reading": "as taken"}
+    cd, plain = [7.12654, 6.0, 5.0, 4.0, 3.0, 2.0, 1.004], {"noise_m": 0.0, "reading": "as taken"}
     report = {
         "settings": {"iterations": [1, 2, 3, 4, 5, 6, 7]},
         "rows": {
-            "8-32": {"cd_mm": cd_mm, "thirds_mm": [4.5, 3.5, 3.0], "widths": [8, 32], **plain},
-            "4-16": {"cd_mm": cd_mm, "thirds_mm": [4.5, 3.5, 3.0], "widths": [4, 16], **plain},
-            "8-4-32": {"cd_mm": cd_mm, "thirds_mm": [9.125, 8.0, 3.0], "widths": [8, 4, 32], **plain},
-            "noisy": {"cd_mm": cd_mm, "thirds_mm": [5.0, 4.0, 3.0], "widths": [8, 32], **plain, "noise_m": 0.01},
-            "read": {"cd_mm": cd_mm, "thirds_mm": [5.0, 4.0, 3.0], "widths": [8, 32], **plain, "reading": "CD to T"},
+            "8-32": {"cd_units": cd, "thirds": [4.5, 3.5, 3.0], "widths": [8, 32], **plain},
+            "4-16": {"cd_units": cd, "thirds": [4.5, 3.5, 3.0], "widths": [4, 16], **plain},
+            "8-4-32": {"cd_units": cd, "thirds": [9.125, 8.0, 3.0], "widths": [8, 4, 32], **plain},
+            "noisy": {
+                "cd_units": cd,
+                "thirds": [5.0, 4.0, 3.0],
+                "widths": [8, 32],
+                **plain,
+                "noise_m": 0.01,
+            },
+            "read": {
+                "cd_units": cd,
+                "thirds": [5.0, 4.0, 3.0],
+                "widths": [8, 32],
+                **plain,
+                "reading": "CD to T",
+            },
         },
     }
     bench = recorded(monkeypatch, "gfp_grasp.bench.bench_ablation", report)
@@ -198,15 +210,15 @@ def test_ablation_hands_on_every_option_and_prints_a_column_for_each_number_of_i
     }
     title = f"Layers and widths by iterations after 30 steps of {AblationConfig().batch} patches"
     panels = {
-        "codes of 32": {"8-32": cd_mm, "8-4-32": cd_mm},
-        "codes of 16": {"4-16": cd_mm},
-        "learnt otherwise": {"noisy": cd_mm, "read": cd_mm},
+        "codes of 32": {"8-32": cd, "8-4-32": cd},
+        "codes of 16": {"4-16": cd},
+        "learnt otherwise": {"noisy": cd, "read": cd},
     }
     assert curves.only == ((panels, tmp_path / "lines.svg"), {"title": title, "axis": "iterations m"})
     printed = capsys.readouterr().out
     assert [f"m = {m} " in printed for m in range(9)] == [False, *[True] * 7, False]
-    figures = " │  7.13 │  6.00 │  5.00 │  4.00 │  3.00 │  2.00 │  1.00 │ "
-    assert rows_of(printed)[:3:2] == [f"8-32   {figures}4.50 │ 3.50", f"8-4-32 {figures}9.12 │ 8.00"]
+    figures = " │ 7.1265 │ 6.0000 │ 5.0000 │ 4.0000 │ 3.0000 │ 2.0000 │ 1.0040 │ "
+    assert rows_of(printed)[:3:2] == [f"8-32   {figures}4.5000 │ 3.5000", f"8-4-32 {figures}9.1250 │ 8.0000"]
     assert json.loads(json_file.read_text()) == report
     assert run("bench ablation") == 0
     assert bench.calls[1][1]["config"] == AblationConfig()
@@ -215,8 +227,8 @@ def test_ablation_hands_on_every_option_and_prints_a_column_for_each_number_of_i
 def test_search_hands_on_every_option_and_prints_the_front_and_the_papers_network(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Path, json_file: Path
 ) -> None:
-    quick = {"name": "8-32, 64-32-16, m = 1", "ms": 0.126, "cd_mm": 9.876, "parameters": 4321}
-    paper = {"name": "64-1024, 64-32-16, m = 5", "ms": 41.0, "cd_mm": 9.9, "parameters": 1234567}
+    quick = {"name": "8-32, 64-32-16, m = 1", "ms": 0.126, "cd_units": 0.09876, "parameters": 4321}
+    paper = {"name": "64-1024, 64-32-16, m = 5", "ms": 41.0, "cd_units": 0.5, "parameters": 1234567}
     report = {"settings": {}, "trials": [paper, quick], "front": [quick], "paper": paper}
     bench = recorded(monkeypatch, "gfp_grasp.bench.bench_search", report)
     drawn = recorded(monkeypatch, "gfp_grasp.drawing.write_front")
@@ -231,8 +243,8 @@ def test_search_hands_on_every_option_and_prints_the_front_and_the_papers_networ
     printed = capsys.readouterr().out
     assert "front of 2 networks" in printed
     assert [[cell.strip() for cell in row.split("│")] for row in rows_of(printed)] == [
-        ["8-32, 64-32-16, m = 1", "0.13", "9.88", "4321"],
-        ["the paper's: 64-1024, 64-32-16, m = 5", "41.00", "9.90", "1234567"],
+        ["8-32, 64-32-16, m = 1", "0.13", "0.0988", "4321"],
+        ["the paper's: 64-1024, 64-32-16, m = 5", "41.00", "0.5000", "1234567"],
     ]
     assert json.loads(json_file.read_text()) == report
     assert run("bench search") == 0

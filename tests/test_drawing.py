@@ -214,8 +214,8 @@ def test_curves_of_all_panels_stand_at_their_values_over_one_two_three(tmp_path:
 
 
 def test_a_front_stands_as_a_stair_at_ratios_of_time_and_the_papers_network_is_marked(tmp_path: Path):
-    rows = [{"name": n, "ms": m, "cd_mm": c} for n, m, c in (("a", 1.0, 9.0), ("b", 10.0, 8.0), ("c", 100.0, 5.0))]
-    far = {"name": "d", "ms": 100.0, "cd_mm": 9.0}
+    rows = [{"name": n, "ms": m, "cd_units": c} for n, m, c in (("a", 1.0, 9.0), ("b", 10.0, 8.0), ("c", 100.0, 5.0))]
+    far = {"name": "d", "ms": 100.0, "cd_units": 9.0}
     chart = write_front([*rows, far], rows, far, tmp_path / "front.svg", title="T")
     drawing = ElementTree.parse(chart).getroot()
     dots = drawing.findall("{http://www.w3.org/2000/svg}circle")

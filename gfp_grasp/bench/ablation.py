@@ -20,7 +20,7 @@ from gfp_grasp.bench.paper_nets import (
     Architecture,
     Budget,
     PatchSets,
-    chamfers_mm,
+    chamfers,
     joined,
     num_parameters,
     read_patches,
@@ -74,9 +74,9 @@ def bench_ablation(
         report: Called with the name of each row before it is made.
 
     Returns:
-        {"settings", "rows": {name: {"widths", "noise_m", "reading", "parameters", "cd_mm": [of each of ITERATIONS],
-        "thirds_mm": [after each third of the steps, of the paper's iterations], "hours"}}}, the Chamfer distance of
-        predicted sets to their labels, on patches of the validation split.
+        {"settings", "rows": {name: {"widths", "noise_m", "reading", "parameters", "cd_units": [of each of ITERATIONS],
+        "thirds": [after each third of the steps, of the paper's iterations], "hours"}}}, the Chamfer distance of
+        predicted sets to their labels in units of the patch, on patches of the validation split.
     """
     folder = config.folder(runs, "ablation")
     patches = cache(lambda: read_patches(config, runs=runs, workers=workers))
@@ -87,7 +87,7 @@ def bench_ablation(
         if "hours" not in row:
             if report is not None:
                 report(name)
-            row = _row(kind, row["thirds_mm"], patches(), config, path)
+            row = _row(kind, row["thirds"], patches(), config, path)
         rows[name] = row
     return {"settings": {**asdict(config), "iterations": list(ITERATIONS)}, "rows": rows}
 
@@ -115,15 +115,15 @@ def _plan(noise_m: float) -> dict[str, _Kind]:
 
 def _begun(path: Path) -> dict[str, Any]:
     """A row as far as it came."""
-    return json.loads(path.read_text()) if path.is_file() else {"thirds_mm": []}
+    return json.loads(path.read_text()) if path.is_file() else {"thirds": []}
 
 
-def _row(kind: _Kind, thirds_mm: list[float], patches: PatchSets, config: AblationConfig, path: Path) -> dict[str, Any]:
+def _row(kind: _Kind, thirds: list[float], patches: PatchSets, config: AblationConfig, path: Path) -> dict[str, Any]:
     """Train and measure one row from the third of its steps where an earlier run left it."""
     network = Architecture(kind.widths, max(ITERATIONS)).make(config.seed)
     checkpoint = path.with_suffix(".pt")
-    row: dict[str, Any] = {"thirds_mm": thirds_mm}
-    for span in range(len(thirds_mm) + 1, _SPANS + 1):
+    row: dict[str, Any] = {"thirds": thirds}
+    for span in range(len(thirds) + 1, _SPANS + 1):
         until = config.steps * span // _SPANS
         trained, hours = train_paper_net(
             network,
@@ -134,11 +134,11 @@ def _row(kind: _Kind, thirds_mm: list[float], patches: PatchSets, config: Ablati
             reading=kind.reading,
             until=until,
         )
-        cd_mm = chamfers_mm(trained, patches.held_out, max(ITERATIONS) if span == _SPANS else PAPER.iterations)
-        row["thirds_mm"] = [*row["thirds_mm"], cd_mm[PAPER.iterations - 1]]
+        cd_units = chamfers(trained, patches.held_out, max(ITERATIONS) if span == _SPANS else PAPER.iterations)
+        row["thirds"] = [*row["thirds"], cd_units[PAPER.iterations - 1]]
         if span == _SPANS:
             parameters = num_parameters(trained)
-            row |= {**asdict(kind), "parameters": parameters, "cd_mm": cd_mm}
+            row |= {**asdict(kind), "parameters": parameters, "cd_units": cd_units}
             row["hours"] = round(hours, 4)
         write_whole(path, json.dumps(row))
     checkpoint.unlink()

@@ -142,19 +142,19 @@ def _noisy(stream, noise_m: float):
     return batches
 
 
-def chamfers_mm(network: nn.Module, patches: Batch, iterations: int) -> list[float]:
-    """Chamfer distance of predicted sets to their labels after one, two and so on up to some number of iterations, mm.
+def chamfers(network: nn.Module, patches: Batch, iterations: int) -> list[float]:
+    """Chamfer distance of predicted sets to their labels after one, two and so on up to some number of iterations.
 
-    It is the mean over patches of the sum of both ways. A set that is looped back by hand is the one that the network
-    loops back itself.
+    It is the mean over patches of the sum of both ways, in units of the patch (`patch_unit_m`): a patch of a cup weighs
+    as much as one of a car. A set that is looped back by hand is the one that the network loops back itself.
     """
-    source, template, target, unit_m = patches
+    source, template, target, _ = patches
     found = []
     with torch.inference_mode():
         for _ in range(iterations):
             pairs = zip(source.split(_CHUNK), template.split(_CHUNK), strict=True)
             source = torch.cat([network(s, t, iterations=1) for s, t in pairs])
-            found.append(round(float((chamfer_of_sets(source, target) * unit_m).mean()) * 1000, 4))
+            found.append(round(float(chamfer_of_sets(source, target).mean()), 5))
     return found
 
 

@@ -20,7 +20,7 @@ from gfp_grasp.bench.paper_nets import (
     Budget,
     PatchSets,
     call_ms,
-    chamfers_mm,
+    chamfers,
     joined,
     num_parameters,
     read_patches,
@@ -96,10 +96,10 @@ def bench_search(
         report: Called with what each network is before it is trained.
 
     Returns:
-        {"settings", "trials": [{"name", "widths", "iterations", "hidden", "parameters", "ms", "cd_mm", "hours"}],
+        {"settings", "trials": [{"name", "widths", "iterations", "hidden", "parameters", "ms", "cd_units", "hours"}],
         "front": those of the trials that `front_of` keeps, "paper": the trial of the paper's network}. A trial's "ms"
-        is what `call_ms` measures; its "cd_mm" is the Chamfer distance of predicted sets to their labels, on patches of
-        the validation split.
+        is what `call_ms` measures; its "cd_units" is the Chamfer distance of predicted sets to their labels in units of
+        the patch, on patches of the validation split.
 
     Raises:
         InvalidOption: Optuna, an extra of this package, is not installed.
@@ -121,7 +121,7 @@ def bench_search(
             measured[architecture] = _measure(architecture, patches(), config, journal.path.parent)
             journal.add(measured[architecture])
         row = trials[architecture] = measured[architecture]
-        study.tell(asked, (row["ms"], row["cd_mm"]))
+        study.tell(asked, (row["ms"], row["cd_units"]))
     rows = list(trials.values())
     return {"settings": asdict(config), "trials": rows, "front": front_of(rows), "paper": trials[PAPER]}
 
@@ -141,10 +141,10 @@ def name_of(architecture: Architecture) -> str:
 
 
 def front_of(rows: Sequence[Mapping[str, Any]]) -> list[Mapping[str, Any]]:
-    """The rows that no other one matches in both "ms" and "cd_mm", the quickest first; of equal rows, the first."""
+    """The rows that no other one matches in both "ms" and "cd_units", the quickest first; of equal rows, the first."""
     front: list[Mapping[str, Any]] = []
-    for row in sorted(rows, key=lambda row: (row["ms"], row["cd_mm"])):
-        if not front or row["cd_mm"] < front[-1]["cd_mm"]:
+    for row in sorted(rows, key=lambda row: (row["ms"], row["cd_units"])):
+        if not front or row["cd_units"] < front[-1]["cd_units"]:
             front.append(row)
     return front
 
@@ -178,6 +178,6 @@ def _measure(architecture: Architecture, patches: PatchSets, config: SearchConfi
         "hidden": list(architecture.hidden),
         "parameters": num_parameters(network),
         "ms": call_ms(network),
-        "cd_mm": chamfers_mm(network, patches.held_out, architecture.iterations)[-1],
+        "cd_units": chamfers(network, patches.held_out, architecture.iterations)[-1],
         "hours": round(hours, 4),
     }

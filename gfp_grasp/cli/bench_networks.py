@@ -31,14 +31,15 @@ def ablation(
     report = bench_ablation(config=config, runs=runs, workers=workers, report=err.print)
     rows = report["rows"]
     headings = ("encoder", *(f"m = {m}" for m in report["settings"]["iterations"]), "1/3", "2/3")
-    cells = [(name, *(f"{v:.2f}" for v in (*row["cd_mm"], *row["thirds_mm"][:2]))) for name, row in rows.items()]
-    table(headings, cells, title="Chamfer distance, mm; at last, of m = 5 after a third and two thirds of the steps")
+    cells = [(name, *(f"{v:.4f}" for v in (*row["cd_units"], *row["thirds"][:2]))) for name, row in rows.items()]
+    title = "Chamfer distance in units of the patch; at last, of m = 5 after a third and two thirds of the steps"
+    table(headings, cells, title=title)
     if picture is not None:
         panels: dict[str, dict[str, list[float]]] = {}
         for name, row in rows.items():
             plain = row["reading"] == "as taken" and not row["noise_m"]
             panel = f"codes of {row['widths'][-1]}" if plain else "learnt otherwise"
-            panels.setdefault(panel, {})[name] = row["cd_mm"]
+            panels.setdefault(panel, {})[name] = row["cd_units"]
         title = f"Layers and widths by iterations after {steps} steps of {config.batch} patches"
         write_curves(panels, picture, title=title, axis="iterations m")
     save_json(json_file, report)
@@ -63,10 +64,9 @@ def search(
     report = bench_search(config=config, runs=runs, workers=workers, report=err.print)
     found, paper = report["trials"], report["paper"]
     rows = [*report["front"], {**paper, "name": f"the paper's: {paper['name']}"}]
-    cells = [(row["name"], f"{row['ms']:.2f}", f"{row['cd_mm']:.2f}", str(row["parameters"])) for row in rows]
-    table(
-        ("encoder, decoder, iterations m", "ms", "CD, mm", "parameters"), cells, title=f"front of {len(found)} networks"
-    )
+    cells = [(row["name"], f"{row['ms']:.2f}", f"{row['cd_units']:.4f}", str(row["parameters"])) for row in rows]
+    headings = ("encoder, decoder, iterations m", "ms", "CD, patch units", "parameters")
+    table(headings, cells, title=f"front of {len(found)} networks")
     if picture is not None:
         title = f"Networks of the paper's kind after {steps} steps of {config.batch} patches"
         write_front(found, report["front"], paper, picture, title=title)

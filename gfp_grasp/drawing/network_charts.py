@@ -17,7 +17,7 @@ def write_curves(panels: Mapping[str, Mapping[str, Sequence[float]]], path: Path
     """Draw one line for each row over 1, 2, 3 and so on, the panels beside each other on one scale.
 
     Args:
-        panels: {heading: {name: values, mm}}.
+        panels: {heading: {name: values in patch units}}.
         path: An .svg file.
         title: Heading of the chart.
         axis: Name of the numbers along the bottom.
@@ -47,7 +47,7 @@ def write_curves(panels: Mapping[str, Mapping[str, Sequence[float]]], path: Path
             y = ground + 54 + 16 * number
             lines.append(f'<rect x="{start}" y="{y}" width="12" height="4" fill="{colour}"/>')
             lines.append(chart_text(start + 18, y + 6, name))
-    subtitle = "Chamfer distance of the predicted patch to its label, mm; the scale does not begin at zero"
+    subtitle = "Chamfer distance of the predicted patch to its label, in its units; the scale begins above zero"
     return write_chart(path, width, height, title, subtitle, lines)
 
 
@@ -62,7 +62,7 @@ def write_front(
     """Draw what networks take against how near they come, the front as a stair whose points are listed beside it.
 
     Args:
-        trials: All networks, with "name", "ms" and "cd_mm".
+        trials: All networks, with "name", "ms" and "cd_units".
         front: Those that no other one matches in both, the quickest first.
         marked: The one that the others are compared with.
         path: An .svg file.
@@ -74,10 +74,10 @@ def write_front(
     left, top, wide, list_at = 60, 60, 480, 580
     down = max(300, _LISTED * len(front) + 60)
     ground = top + down
-    across, up = _scale_of([row["ms"] for row in trials], log=True), _scale_of([row["cd_mm"] for row in trials])
+    across, up = _scale_of([row["ms"] for row in trials], log=True), _scale_of([row["cd_units"] for row in trials])
 
     def at(row: Mapping[str, Any]) -> tuple[float, float]:
-        return left + wide * across.share(row["ms"]), ground - down * up.share(row["cd_mm"])
+        return left + wide * across.share(row["ms"]), ground - down * up.share(row["cd_units"])
 
     lines = [chart_text(left + wide / 2, ground + 40, "one call for all patches of a primitive, ms", anchor="middle")]
     for value in across.marks:
@@ -102,13 +102,13 @@ def write_front(
     y = top + 4 + _LISTED * (len(front) + 1)
     lines.append(f'<path d="M{list_at + 4},{y - 10} l6,6 l-6,6 l-6,-6 z" fill="none" stroke="{WRONG}"/>')
     lines.append(chart_text(list_at + 16, y, f"the paper's: {_described(marked)}"))
-    subtitle = "Chamfer distance of predicted patches to their labels, mm, against time; left and below is better"
+    subtitle = "Chamfer distance of predicted patches to their labels, in units of the patch, against time"
     longest = max(len(_described(row)) for row in (*front, marked))
     return write_chart(path, list_at + 100 + 7 * longest, ground + 56, title, subtitle, lines)
 
 
 def _described(row: Mapping[str, Any]) -> str:
-    return f"{row['name']}: {row['ms']:.3g} ms, {row['cd_mm']:.2f} mm"
+    return f"{row['name']}: {row['ms']:.3g} ms, {row['cd_units']:.4f}"
 
 
 def _levels(scale: _Scale, left: float, wide: float, ground: float, down: float) -> list[str]:
