@@ -19,6 +19,7 @@ from gfp_grasp.bench import (
     hollow,
     hostile,
     methods,
+    peers,
     registration,
     rows,
 )
@@ -28,7 +29,7 @@ from gfp_grasp.bench.hollow import HollowRow
 from gfp_grasp.bench.hostile import HostileRow
 from gfp_grasp.bench.methods import FORMER_NAMES
 from gfp_grasp.bench.openset import report_of
-from gfp_grasp.bench.peer_trials import unpacked
+from gfp_grasp.bench.peer_trials import IN_SIMULATOR, unpacked
 from gfp_grasp.bench.ready import by_group
 from gfp_grasp.bench.ready_rows import SceneRow, ViewRow
 from gfp_grasp.bench.registration import FitRow
@@ -144,10 +145,8 @@ def test_figures_of_the_comparison_with_other_networks_follow_from_their_trials(
             assert {figure: again[figure] for figure in of_method} == of_method
         for method, gain in report["paired"][group].items():
             assert rows.paired_gain(found, "gfpnet", method) == gain
-    grasped = [
-        {k: v for k, v in trial.items() if k != "group"} for trial in report["trials"] if trial["group"] == "score"
-    ]
-    scored = Report(report["settings"]["score"], tuple(ScoreRow(**trial) for trial in grasped))
+    grasped = [ScoreRow(**peers._own(trial)) for trial in report["trials"] if trial["group"] == IN_SIMULATOR]
+    scored = Report(report["settings"]["score"], tuple(grasped))
     assert json_of(scored.completers()) == report["score"]["completers"]
     assert set(report["cost"]) >= set(PEER_COMPLETERS)
 
