@@ -135,6 +135,9 @@ def visible_points(
     lift_m = _LIFT * float(np.linalg.norm(np.ptp(vertices, axis=0)))
     sight = viewpoint - points
     sight /= np.linalg.norm(sight, axis=1, keepdims=True)
-    facing = np.einsum("ni,ni->n", normals, sight) > 0
-    hit, _, _ = cast_rays([(vertices, faces)], points + lift_m * normals + lift_m * sight, sight)
-    return facing & ~np.isfinite(hit)
+    facing = np.flatnonzero(np.einsum("ni,ni->n", normals, sight) > 0)
+    sight = sight[facing]
+    hit, _, _ = cast_rays([(vertices, faces)], points[facing] + lift_m * normals[facing] + lift_m * sight, sight)
+    visible = np.zeros(len(points), dtype=bool)
+    visible[facing] = ~np.isfinite(hit)
+    return visible

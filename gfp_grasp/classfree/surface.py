@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import reduce
 
 import numpy as np
 import trimesh
@@ -79,7 +80,7 @@ def with_thin_walls(distance: np.ndarray) -> np.ndarray:
         padded = np.pad(own, [(_WALL_REACH, _WALL_REACH), (0, 0), (0, 0)], mode="edge")
         around = [padded[i : i + len(own)] for i in range(2 * _WALL_REACH + 1)]
         rise = np.minimum(around[0], around[-1]) - own
-        empty = np.minimum.reduce(around) > 0  # beside a wall that is there, nothing is to be sunk
+        empty = reduce(np.minimum, around) > 0  # beside a wall that is there, nothing is to be sunk
         np.maximum(np.moveaxis(valley, axis, 0), np.where(empty, rise, 0.0), out=np.moveaxis(valley, axis, 0))
     return distance - _WALL_SINKS * np.maximum(valley - _WALL_RISE, 0.0)
 

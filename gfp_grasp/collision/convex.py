@@ -110,6 +110,15 @@ def _planes(triangles: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return normals, np.einsum("ni,ni->n", normals, triangles[broad, 0])
 
 
+def farthest_corners(points: np.ndarray) -> np.ndarray:
+    """Which of (n, 3) points lie farthest along the ways to the middles of a cube's sides, edges and corners.
+
+    Returns:
+        Indices (k,), ascending, k at most 26.
+    """
+    return np.unique((points @ _WAYS.T).argmax(axis=0))
+
+
 def needed_corners(points: np.ndarray, tolerance_m: float) -> np.ndarray:
     """A few of (n, 3) points in m whose hull holds all others, or misses them by at most a tolerance.
 
@@ -117,7 +126,7 @@ def needed_corners(points: np.ndarray, tolerance_m: float) -> np.ndarray:
         Indices (k,), ascending; those of all points where their hull is flat or smaller than MuJoCo accepts.
     """
     centred = points - points.mean(axis=0)
-    kept = np.unique((centred @ _WAYS.T).argmax(axis=0))
+    kept = farthest_corners(centred)
     while True:
         corners, faces = _hull(centred[kept])
         triangles = corners[faces]

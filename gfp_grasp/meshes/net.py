@@ -34,23 +34,29 @@ def surface_net(field: np.ndarray, *, origin: np.ndarray, cell_m: float) -> trim
     """
     field = np.pad(np.asarray(field, dtype=np.float64), 1, constant_values=max(float(np.abs(field).max()), 1.0))
     field = _without_crosses(field)
-    inside = field < 0
-    pattern = np.zeros(np.array(field.shape) - 1, dtype=np.uint8)
-    for c, (i, j, k) in enumerate(_CORNERS):
-        ends = np.array([i, j, k]) + pattern.shape
-        pattern |= inside[i : ends[0], j : ends[1], k : ends[2]].astype(np.uint8) << c
+    inside = (field < 0).ravel()
+    # What runs over the end of a row, here and below, is of the padding, which is outside: no surface is there.
+    strides = _strides(field.shape)
+    pattern = np.zeros(inside.size, dtype=np.uint8)
+    for c, offset in enumerate(_CORNERS @ strides):
+        pattern[: inside.size - offset] |= inside[offset:].view(np.uint8) << np.uint8(c)
     mixed = np.flatnonzero((pattern != 0) & (pattern != 255))
-    codes = pattern.ravel()[mixed]
+    codes = pattern[mixed]
     two = _SECOND[codes] >= 0
     first = np.cumsum(1 + two) - (1 + two)  # number of the first vertex of each mixed cell
     number = np.full(pattern.size, -1)
     number[mixed] = first
     second = np.full(pattern.size, -1)
     second[mixed] = _SECOND[codes]
-    places = np.stack(np.unravel_index(mixed, pattern.shape), axis=1)
-    vertices = _vertices(field, places, codes, two, first)
-    faces = _faces(field, inside, number, second, vertices)
+    places = np.stack(np.unravel_index(mixed, field.shape), axis=1)
+    vertices = _vertices(field.ravel()[mixed[:, None] + _CORNERS @ strides], places, codes, two, first)
+    faces = _faces(inside, strides, number, second, vertices)
     return trimesh.Trimesh(np.asarray(origin) + cell_m * (vertices - 1), faces, process=False)
+
+
+def _strides(shape: tuple[int, ...]) -> np.ndarray:
+    """How far apart neighbours along x, y and z are where a grid of this shape is flat."""
+    return np.array([shape[1] * shape[2], shape[2], 1])
 
 
 def _without_crosses(field: np.ndarray) -> np.ndarray:
@@ -58,35 +64,30 @@ def _without_crosses(field: np.ndarray) -> np.ndarray:
 
     Then no face of a cell is cut twice, and no edge of the surface has four faces.
     """
-    field = field.copy()
-    just = -_JUST * max(float(np.abs(field[field < 0]).max(initial=0.0)), 1e-12)
-    while True:
-        inside, found = field < 0, False
+    flat = field.ravel().copy()
+    just = -_JUST * max(float(np.abs(flat[flat < 0]).max(initial=0.0)), 1e-12)
+    inside, strides = flat < 0, _strides(field.shape)
+    found = True
+    while found:
+        found = False
         for axis in range(3):
-            u, v = np.eye(3, dtype=int)[[a for a in range(3) if a != axis]]
-            x, y, z = np.array(field.shape) - u - v
-            a, b, c, d = (
-                inside[i : i + x, j : j + y, k : k + z] for i, j, k in ((0, 0, 0), tuple(u), tuple(v), tuple(u + v))
-            )
-            cross = np.argwhere((a == d) & (b == c) & (a != b))
+            u, v = np.delete(strides, axis)
+            a, b, c, d = (inside[i : len(flat) - u - v + i] for i in (0, u, v, u + v))
+            cross = np.flatnonzero((a ^ b) & ~(a ^ d) & ~(b ^ c))
             if not len(cross):
                 continue
             found = True
-            corners = cross[:, None] + np.stack([0 * u, u, v, u + v])
-            values = field[tuple(np.moveaxis(corners, -1, 0))]
+            corners = cross[:, None] + np.array([0, u, v, u + v])
+            values = flat[corners]
             chosen = corners[np.arange(len(cross)), np.where(values < 0, np.inf, values).argmin(axis=1)]
-            field[tuple(chosen.T)] = just
-            inside = field < 0
-        if not found:
-            return field
+            flat[chosen], inside[chosen] = just, True
+    return flat.reshape(field.shape)
 
 
 def _vertices(
-    field: np.ndarray, places: np.ndarray, codes: np.ndarray, two: np.ndarray, first: np.ndarray
+    values: np.ndarray, places: np.ndarray, codes: np.ndarray, two: np.ndarray, first: np.ndarray
 ) -> np.ndarray:
-    """(v, 3) in cells: in each of (c, 3) cells the middle of where its sheet cuts the cell's edges."""
-    corners = places[:, None] + _CORNERS
-    values = field[tuple(np.moveaxis(corners, -1, 0))]
+    """(v, 3) in cells: in each of (c, 3) cells with corners (c, 8) the middle of where its sheet cuts its edges."""
     start, end = values[:, _EDGES[:, 0]], values[:, _EDGES[:, 1]]
     cut = (start < 0) != (end < 0)
     share = np.where(cut, start / np.where(cut, start - end, 1.0), 0.0)[..., None]
@@ -100,24 +101,19 @@ def _vertices(
 
 
 def _faces(
-    field: np.ndarray, inside: np.ndarray, number: np.ndarray, second: np.ndarray, vertices: np.ndarray
+    inside: np.ndarray, strides: np.ndarray, number: np.ndarray, second: np.ndarray, vertices: np.ndarray
 ) -> np.ndarray:
     """(f, 3): a square around each edge of the grid that the surface cuts, parted by its shorter diagonal."""
-    shape = np.array(field.shape) - 1
-    strides = np.array([shape[1] * shape[2], shape[2], 1])
     found = []
     for axis in range(3):
-        u, v = np.eye(3, dtype=int)[[(axis + 1) % 3, (axis + 2) % 3]]
-        ends = [slice(1, None) if a != axis else slice(None) for a in range(3)]
-        near = inside[tuple(s if a != axis else slice(None, -1) for a, s in enumerate(ends))]
-        far = inside[tuple(s if a != axis else slice(1, None) for a, s in enumerate(ends))]
-        edges = np.argwhere(near != far)
-        outward = near[tuple(edges.T)]
-        # The edge starts at field[edges + u + v]; around it lie the cells from edges to edges + u + v.
+        u, v = (axis + 1) % 3, (axis + 2) % 3
+        # An edge starts at the last of the four cells around it, and goes along the axis.
+        edges = np.flatnonzero(inside[: len(inside) - strides[axis]] ^ inside[strides[axis] :])
+        outward = inside[edges]
         square = np.empty((len(edges), 4), dtype=np.int64)
         for n, (i, j) in enumerate(((0, 0), (1, 0), (1, 1), (0, 1))):
-            cell = (edges + i * u + j * v) @ strides
-            corner = (np.array([1 << a for a in range(3)]) * ((1 - i) * u + (1 - j) * v)).sum()
+            cell = edges - (1 - i) * strides[u] - (1 - j) * strides[v]
+            corner = (1 - i) << u | (1 - j) << v
             other = second[cell]
             square[:, n] = number[cell] + ((other == corner) | (other == corner | 1 << axis))
         square[~outward] = square[~outward][:, ::-1]
