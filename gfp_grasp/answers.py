@@ -20,7 +20,13 @@ from gfp_grasp.errors import FitDiverged, InvalidOption, NoSurface
 from gfp_grasp.level import mark_observed
 from gfp_grasp.meshes import crossing_faces
 from gfp_grasp.misfit import misfit_of
-from gfp_grasp.openset import evidence_of_fit, evidence_of_look, probability_by_look, probability_unknown
+from gfp_grasp.openset import (
+    LOOK_ENOUGH,
+    evidence_of_fit,
+    evidence_of_look,
+    probability_by_look,
+    probability_unknown,
+)
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.recognition import class_is_given, fit_likeliest
 from gfp_grasp.register import FitConfig, part_is_seen
@@ -44,7 +50,7 @@ class CompleteConfig:
         optional_parts: "card" keeps a part as the card of its class says; "seen" leaves out every part that no point
             supports, "always" none.
         unknown_above: Probability of being of no class from which on the class-free completion answers; 1 for never.
-            Nobody asks it of what a LiDAR saw.
+            Where the look alone tells it, 0.8 is enough. Nobody asks it of what a LiDAR saw.
         fall_back: Check what is returned against the points, the free space and their reach: what fails gives way to
             the class-free completion, and that to the hull of the points.
         collision: Budget of the convex parts, which are made at first access.
@@ -108,7 +114,8 @@ def answer(view: LevelView, detection: Detection, config: CompleteConfig, clock:
     asked = not class_is_given(detection) and config.unknown_above < 1 and not of_traffic
     look = evidence_of_look(detection, config.library) if asked else np.empty(0)
     unknown = probability_by_look(look) if asked else 0.0
-    if not asked or unknown < config.unknown_above:
+    is_unknown = asked and unknown >= min(config.unknown_above, LOOK_ENOUGH)
+    if not is_unknown:
         try:
             shape = by_class(view, detection, config, clock, unlikely=unknown < _DOUBTFUL)
         except FitDiverged as error:
@@ -119,14 +126,15 @@ def answer(view: LevelView, detection: Detection, config: CompleteConfig, clock:
             if not asked and not config.fall_back:
                 return shape
             misfit = misfit_of(shape.mesh, view)
-            doubts += misfit.faults(of_traffic=of_traffic) if config.fall_back else []
             if asked:
                 assert shape.fit is not None
                 unknown = probability_unknown(look, evidence_of_fit(shape.fit, misfit))
+                is_unknown = unknown >= config.unknown_above
+            doubts += misfit.faults(of_traffic=of_traffic, unknown=unknown) if config.fall_back else []
             clock.lap("check")
-            if not doubts and (not asked or unknown < config.unknown_above):
+            if not doubts and not is_unknown:
                 return shape
-    if asked and unknown >= config.unknown_above:
+    if is_unknown:
         doubts.insert(0, f"it is of no class with a probability of {unknown:.2f}")
     shape = _without_class(view, clock)
     return replace(shape, note="; ".join(filter(None, (*doubts, shape.note))))

@@ -18,7 +18,8 @@ _IN_FREE = 0.05  # of the longest side, that a surface has to lie in free space 
 
 # No good answer to 480 views of the validation split, hidden and noisy ones among them, exceeds 0.39, 0.07, 0.02 and
 # 1.04; but a thing of which the half is hidden may go on by as much as was seen, and more.
-_OFF_POINTS, _MOST_AWAY, _IN_FREE_SPACE, _BEYOND = 0.4, 0.2, 0.2, 1.6
+_OFF_POINTS, _MOST_AWAY, _IN_FREE_SPACE, _BEYOND = 0.4, 0.1, 0.2, 1.6
+_BEYOND_IN_DOUBT = 0.6  # where the thing is as likely of no class
 
 
 @dataclass(frozen=True)
@@ -38,12 +39,13 @@ class Misfit:
     in_free_space: float
     beyond: float
 
-    def faults(self, *, of_traffic: bool = False) -> list[str]:
+    def faults(self, *, of_traffic: bool = False, unknown: float = 0.0) -> list[str]:
         """Why the surface cannot be right; nothing where it may be.
 
         Args:
             of_traffic: It is a vehicle or a person. A lorry that is seen from an end goes on for many times what is
                 seen, and its cab is of many forms; a poor lorry is still nearer to it than an answer of no class.
+            unknown: Probability of being of no class. From one half on nobody knows how far the thing goes on.
         """
         faults = []
         if self.off_points > _OFF_POINTS:
@@ -52,7 +54,7 @@ class Misfit:
             faults.append(f"{self.away:.0%} of what was seen of the object is far from its surface")
         if self.in_free_space > _IN_FREE_SPACE:
             faults.append(f"{self.in_free_space:.0%} of it lies where nothing was seen to be")
-        if self.beyond > _BEYOND and not of_traffic:
+        if self.beyond > (_BEYOND if unknown < 0.5 else _BEYOND_IN_DOUBT) and not of_traffic:
             faults.append(f"it reaches {self.beyond:.1f} lengths beyond what was seen")
         return faults
 

@@ -108,6 +108,23 @@ def test_where_the_look_tells_it_nothing_is_fitted(monkeypatch: pytest.MonkeyPat
     assert not made.by_class.calls
 
 
+@pytest.mark.parametrize(
+    ("by_look", "above", "made_by"),
+    [(0.79, 0.9, "primitive"), (0.8, 0.9, "classfree"), (0.69, 0.7, "primitive"), (0.7, 0.7, "classfree")],
+)
+def test_the_look_alone_need_not_be_as_sure_as_look_and_fit(
+    by_look: float, above: float, made_by: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    assert Answers(monkeypatch, by_look=by_look).answer(unknown_above=above).made_by == made_by
+
+
+def test_an_answer_in_doubt_that_reaches_far_gives_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    far = replace(GOOD, beyond=0.8)
+    assert Answers(monkeypatch, unknown=0.4, misfits=[far]).answer().made_by == "primitive"
+    shape = Answers(monkeypatch, unknown=0.6, misfits=[far, GOOD]).answer()
+    assert (shape.made_by, shape.note) == ("classfree", "it reaches 0.8 lengths beyond what was seen")
+
+
 @pytest.mark.parametrize(("by_look", "unlikely"), [(0.69, True), (0.7, False)])
 def test_unlikely_primitives_are_not_tried_where_the_look_is_doubtful(
     by_look: float, unlikely: bool, monkeypatch: pytest.MonkeyPatch

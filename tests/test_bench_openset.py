@@ -29,7 +29,12 @@ def models(monkeypatch: pytest.MonkeyPatch) -> None:
         (row("known", 0.4), 0.5, False),
         (row("known", 0.5), 0.5, True),
         (row("known", 0.2, look=(0.5,)), 0.5, True),  # by the look alone
+        (row("known", 0.2, look=(0.8,)), 0.95, True),  # which need not be as sure as look and fit
+        (row("known", 0.2, look=(0.79,)), 0.95, False),
         (row("known", 0.99, look=(0.99,)), 1.0, False),  # never
+        (row("known", 0.5, misfit=(0.0, 0.0, 0.0, 0.7)), 0.9, True),  # in doubt, it reaches too far
+        (row("known", 0.4, misfit=(0.0, 0.0, 0.0, 0.7)), 0.9, False),
+        (row("known", 0.5, misfit=(0.0, 0.0, 0.0, 0.7)), 1.0, False),
         (row("known", 0.1, misfit=(0.0, 0.0, 0.6, 0.0)), 1.0, True),  # it contradicts what was seen
         (row("known", 0.1, cd_m=None), 0.5, True),  # nothing fits
     ],

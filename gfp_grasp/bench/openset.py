@@ -9,7 +9,7 @@ import numpy as np
 
 from gfp_grasp.complete import CompleteConfig
 from gfp_grasp.misfit import Misfit
-from gfp_grasp.openset import probability_by_look, probability_unknown
+from gfp_grasp.openset import LOOK_ENOUGH, probability_by_look, probability_unknown
 from gfp_grasp.parallel import Progress
 from gfp_grasp.train import SIGHTS, OpenSetConfig, OpenSetRow, openset_rows
 
@@ -57,11 +57,12 @@ def is_unknown(row: OpenSetRow, threshold: float) -> bool:
     """Whether a view is answered without a class."""
     if row.fit is None or row.misfit is None:
         return True
+    unknown = 0.0
     if threshold < 1:
-        by_look, by_both = probability_by_look(row.look), probability_unknown(row.look, row.fit)
-        if max(by_look, by_both) >= threshold:
+        unknown = probability_unknown(row.look, row.fit)
+        if unknown >= threshold or probability_by_look(row.look) >= min(threshold, LOOK_ENOUGH):
             return True
-    return bool(Misfit(*row.misfit).faults())
+    return bool(Misfit(*row.misfit).faults(unknown=unknown))
 
 
 def _by_sort(rows: Sequence[OpenSetRow]) -> dict[str, list[OpenSetRow]]:
