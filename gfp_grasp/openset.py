@@ -20,8 +20,8 @@ from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.recognition import sureness
 from gfp_grasp.types import Detection, FittedPrimitive
 
-# Probability by the look alone that is enough for an answer of no class. On the validation split 1 % of things of a class
-# look so, or 6 % where a half of them is hidden, and 60 % of things of no class; a fit would take longer than the answer.
+# Probability by the look alone that is enough for an answer of no class. On the validation split 1 % of things of a
+# class look so, 6 % of those of which a half is hidden, and 60 % of things of no class. A fit would take longer.
 LOOK_ENOUGH = 0.8
 _NEAREST = 0.005  # of distances from prototypes, below which they are not told apart
 _SURENESS = (0.02, 0.999)

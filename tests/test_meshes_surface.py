@@ -11,6 +11,7 @@ from toy_bodies import dense_laplacian, l_body
 from gfp_grasp.errors import InvalidOption
 from gfp_grasp.meshes import (
     crossing_faces,
+    enclosed_m3,
     graph_laplacian,
     neighbour_average,
     pairs_on_the_way,
@@ -167,3 +168,17 @@ def test_pairs_found_once_tell_what_crosses_at_every_step_of_the_way() -> None:
         counts.append(len(anew))
     assert counts[0] == 0
     assert max(counts) > 50
+
+
+def test_the_volume_within_a_mesh_is_nothing_where_it_is_no_volume() -> None:
+    box = trimesh.creation.box(extents=(0.1, 0.2, 0.3))
+    box.apply_translation((5.0, -2.0, 1.0))
+    assert enclosed_m3(box) == pytest.approx(0.006)
+    inside_out, open_box, turned = box.copy(), box.copy(), box.copy()
+    inside_out.invert()
+    open_box.update_faces(np.arange(1, 12))
+    turned.faces[3] = turned.faces[3][::-1]
+    assert [enclosed_m3(mesh) for mesh in (inside_out, open_box, turned)] == [0.0, 0.0, 0.0]
+    assert not any(mesh.is_volume for mesh in (inside_out, open_box, turned))
+    hollow = trimesh.util.concatenate([box, box.copy().apply_transform(np.diag([-1.0, 1.0, 1.0, 1.0]))])
+    assert enclosed_m3(hollow) == pytest.approx(0.012)

@@ -25,6 +25,7 @@ from gfp_grasp.collision.fidelity import (
 )
 from gfp_grasp.collision.parts import PartFaces, diagonal_m, volume_m3
 from gfp_grasp.errors import DecompositionFailed, InvalidMesh
+from gfp_grasp.meshes import enclosed_m3
 from gfp_grasp.types import CollisionMesh, CompletedShape, GenericPrimitive
 
 # CoACD is worth its time where the mean error of deformed parts exceeds this share of the diagonal. A mug's parts that
@@ -85,9 +86,10 @@ def _split(mesh: trimesh.Trimesh, config: CollisionConfig) -> CollisionMesh:
 
 
 def _is_convex(mesh: trimesh.Trimesh) -> bool:
-    if not mesh.is_volume:
+    most_m3 = (1 + _CONVEX_EXCESS) * enclosed_m3(mesh)
+    if not most_m3:
         return False
-    vertices, most_m3 = np.asarray(mesh.vertices), (1 + _CONVEX_EXCESS) * mesh.volume
+    vertices = np.asarray(mesh.vertices)
     # The hull of a few of the vertices is most often too large already, and takes a tenth of the time.
     few = convex_part(vertices[farthest_corners(vertices)])
     if few is not None and volume_m3(few) > most_m3:

@@ -22,6 +22,7 @@ from gfp_grasp.collision.fidelity import union_error_m
 from gfp_grasp.collision.levels import merge_tree, merged
 from gfp_grasp.collision.parts import diagonal_m, volume_m3
 from gfp_grasp.errors import DecompositionFailed, InvalidMesh
+from gfp_grasp.meshes import enclosed_m3
 from gfp_grasp.types import CollisionMesh, ConvexPart
 
 _LEAST_PIECE_M3 = 1e-11  # a crumb of 0.2 mm
@@ -57,7 +58,7 @@ def cut_parts(mesh: trimesh.Trimesh, *, concavity_m: float = 0.001, max_parts: i
         DecompositionFailed: Nothing is left once crumbs are dropped.
     """
     started = time.monotonic()
-    if not mesh.is_volume:
+    if not enclosed_m3(mesh):
         raise InvalidMesh("cut_parts needs a watertight volume: use meshes.make_solid first")
     pieces = _cut(_solid(mesh), mesh.centroid[:2], concavity_m, max_parts)
     return _measured_parts(_convex(pieces), pieces, mesh, started, samples=_SAMPLES)
@@ -79,7 +80,7 @@ def quick_parts(mesh: trimesh.Trimesh, *, config: CollisionConfig = CollisionCon
         DecompositionFailed: Nothing is left once crumbs are dropped.
     """
     started = time.monotonic()
-    if not mesh.is_volume:
+    if not enclosed_m3(mesh):
         raise InvalidMesh("quick_parts needs a watertight volume: use meshes.make_solid first")
     diagonal = diagonal_m(np.asarray(mesh.vertices))
     most = min(config.max_parts, _QUICK_PARTS)
@@ -104,7 +105,7 @@ def _measured_parts(
     parts: tuple[ConvexPart, ...], pieces: list[_Piece], mesh: trimesh.Trimesh, started: float, *, samples: int
 ) -> CollisionMesh:
     error_m = union_error_m(parts, mesh, count=samples, rng=np.random.default_rng(0))
-    ratio = sum(volume_m3(part) for part in parts) / mesh.volume
+    ratio = sum(volume_m3(part) for part in parts) / enclosed_m3(mesh)
     notes = {"concavity_m": max(piece.concavity_m for piece in pieces), "volume_ratio": float(ratio)}
     return CollisionMesh(parts, error_m, "cuts", time.monotonic() - started, notes)
 

@@ -13,6 +13,7 @@ from gfp_grasp.meshes.net import surface_net
 from gfp_grasp.meshes.solid import Repair, make_solid, repair_mesh
 from gfp_grasp.meshes.surface import (
     crossing_faces,
+    enclosed_m3,
     graph_laplacian,
     neighbour_average,
     pairs_on_the_way,
@@ -28,6 +29,7 @@ __all__ = [
     "Repair",
     "check_mesh",
     "crossing_faces",
+    "enclosed_m3",
     "every_suffix",
     "graph_laplacian",
     "load_mesh",

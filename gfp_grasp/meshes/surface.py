@@ -40,6 +40,19 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
     return np.divide(normals, lengths, out=np.zeros(normals.shape), where=lengths > 0)
 
 
+def enclosed_m3(mesh: trimesh.Trimesh) -> float:
+    """Volume within a mesh, m3; 0 where trimesh's `is_volume` is False: it is open, not wound one way, or inside out.
+
+    That takes three times as long, for the moments of inertia.
+    """
+    if not (mesh.is_watertight and mesh.is_winding_consistent):
+        return 0.0
+    triangles = np.asarray(mesh.vertices)[np.asarray(mesh.faces)]
+    triangles = triangles - triangles[0, 0]
+    doubled = np.einsum("fi,fi->f", triangles[:, 0], triangle_normals(triangles))
+    return max(float(doubled.sum()) / 6, 0.0)
+
+
 def sample_surface(
     mesh: trimesh.Trimesh, count: int, rng: np.random.Generator
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
