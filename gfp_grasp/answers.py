@@ -29,7 +29,7 @@ from gfp_grasp.openset import (
 )
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.recognition import class_is_given, fit_likeliest
-from gfp_grasp.register import FitConfig, part_is_seen
+from gfp_grasp.register import FitConfig, is_cut_off, part_is_seen
 from gfp_grasp.types import KEEP_RULES, CompletedShape, Detection, FittedPrimitive, LevelView
 
 # Probability of being of no class, by the look alone, from which on unlikely primitives are not worth their time.
@@ -50,7 +50,8 @@ class CompleteConfig:
         optional_parts: "card" keeps a part as the card of its class says; "seen" leaves out every part that no point
             supports, "always" none.
         unknown_above: Probability of being of no class from which on the class-free completion answers; 1 for never.
-            Where the look alone tells it, 0.8 is enough. Nobody asks it of what a LiDAR saw.
+            Where the look alone tells it, and nothing hides an end of the object, 0.8 is enough. Nobody asks it of what
+            a LiDAR saw.
         fall_back: Check what is returned against the points, the free space and their reach: what fails gives way to
             the class-free completion, and that to the hull of the points.
         collision: Budget of the convex parts, which are made at first access.
@@ -114,7 +115,7 @@ def answer(view: LevelView, detection: Detection, config: CompleteConfig, clock:
     asked = not class_is_given(detection) and config.unknown_above < 1 and not of_traffic
     look = evidence_of_look(detection, config.library) if asked else np.empty(0)
     unknown = probability_by_look(look) if asked else 0.0
-    is_unknown = asked and unknown >= min(config.unknown_above, LOOK_ENOUGH)
+    is_unknown = asked and (unknown >= config.unknown_above or (unknown >= LOOK_ENOUGH and not is_cut_off(view)))
     if not is_unknown:
         try:
             shape = by_class(view, detection, config, clock, unlikely=unknown < _DOUBTFUL)

@@ -42,6 +42,7 @@ class Answers:
         misfits: list[Misfit] | None = None,
         fits: bool = True,
         surface: bool = True,
+        cut_off: bool = False,
     ) -> None:
         self.view, self.detection = "view", toy_completion(scores={"mug": 0.6, "cup": 0.4}).detection
         box = toy_completion().shape
@@ -52,6 +53,7 @@ class Answers:
         }
         self.evidence_of_look = recorded(patch, "gfp_grasp.answers.evidence_of_look", "look")
         self.evidence_of_fit = recorded(patch, "gfp_grasp.answers.evidence_of_fit", "fit")
+        self.cut_off = recorded(patch, "gfp_grasp.answers.is_cut_off", cut_off)
         self.by_look = recorded(patch, "gfp_grasp.answers.probability_by_look", by_look)
         self.unknown = recorded(patch, "gfp_grasp.answers.probability_unknown", unknown)
         misfits = [GOOD, GOOD] if misfits is None else misfits
@@ -109,13 +111,25 @@ def test_where_the_look_tells_it_nothing_is_fitted(monkeypatch: pytest.MonkeyPat
 
 
 @pytest.mark.parametrize(
-    ("by_look", "above", "made_by"),
-    [(0.79, 0.9, "primitive"), (0.8, 0.9, "classfree"), (0.69, 0.7, "primitive"), (0.7, 0.7, "classfree")],
+    ("by_look", "above", "cut_off", "made_by"),
+    [
+        (0.79, 0.9, False, "primitive"),
+        (0.8, 0.9, False, "classfree"),
+        (0.8, 0.9, True, "primitive"),
+        (0.9, 0.9, True, "classfree"),
+        (0.69, 0.7, False, "primitive"),
+        (0.7, 0.7, True, "classfree"),
+    ],
 )
-def test_the_look_alone_need_not_be_as_sure_as_look_and_fit(
-    by_look: float, above: float, made_by: str, monkeypatch: pytest.MonkeyPatch
+def test_the_look_alone_need_not_be_as_sure_as_look_and_fit_unless_an_end_is_hidden(
+    by_look: float, above: float, cut_off: bool, made_by: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    assert Answers(monkeypatch, by_look=by_look).answer(unknown_above=above).made_by == made_by
+    made = Answers(monkeypatch, by_look=by_look, cut_off=cut_off)
+    assert made.answer(unknown_above=above).made_by == made_by
+    if 0.8 <= by_look < above:  # else it is not asked for
+        assert made.cut_off.only[0] == ("view",)
+    else:
+        assert not made.cut_off.calls
 
 
 def test_an_answer_in_doubt_that_reaches_far_gives_way(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -12,7 +12,14 @@ from gfp_grasp.train import OpenSetRow
 
 def row(sort: str, doubt: float, *, cd_m: float | None = 0.004, **more: Any) -> OpenSetRow:
     """A view whose probability of being of no class is `doubt`; by the look alone it is a tenth less."""
-    values: dict[str, Any] = {"kind": "mug", "number": 3, "sight": "plain", "hull_cd_m": 0.01, "classfree_cd_m": 0.005}
+    values: dict[str, Any] = {
+        "kind": "mug",
+        "number": 3,
+        "sight": "plain",
+        "cut_off": False,
+        "hull_cd_m": 0.01,
+        "classfree_cd_m": 0.005,
+    }
     fit = {"fit": (doubt,), "misfit": (0.01, 0.0, 0.0, 0.2), "named": "mug"} if cd_m is not None else {}
     return OpenSetRow(sort=sort, cd_m=cd_m, **{**values, "look": (doubt - 0.1,), **fit, **more})
 
@@ -31,6 +38,8 @@ def models(monkeypatch: pytest.MonkeyPatch) -> None:
         (row("known", 0.2, look=(0.5,)), 0.5, True),  # by the look alone
         (row("known", 0.2, look=(0.8,)), 0.95, True),  # which need not be as sure as look and fit
         (row("known", 0.2, look=(0.79,)), 0.95, False),
+        (row("known", 0.2, look=(0.94,), cut_off=True), 0.95, False),  # unless an end is hidden
+        (row("known", 0.2, look=(0.95,), cut_off=True), 0.95, True),
         (row("known", 0.99, look=(0.99,)), 1.0, False),  # never
         (row("known", 0.5, misfit=(0.0, 0.0, 0.0, 0.7)), 0.9, True),  # in doubt, it reaches too far
         (row("known", 0.4, misfit=(0.0, 0.0, 0.0, 0.7)), 0.9, False),

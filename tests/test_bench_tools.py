@@ -109,6 +109,7 @@ def test_an_operating_curve_marks_the_threshold_that_was_chosen(tmp_path: Path):
         {"threshold": 0.2, "lost": 0.3, "caught_mixture": 1.0},  # more is lost than is shown
         {"threshold": 0.5, "lost": 0.1, "caught_mixture": 0.75},
         {"threshold": 0.9, "lost": 0.05, "caught_mixture": 0.5},
+        {"threshold": 0.95, "lost": 0.05, "caught_mixture": 0.45},  # no more is lost
         {"threshold": 1.0, "lost": 0.0, "caught_mixture": 0.25},
     ]
     path = write_operating_curve({"plain": points}, 0.9, tmp_path / "curve.svg")
@@ -117,12 +118,13 @@ def test_an_operating_curve_marks_the_threshold_that_was_chosen(tmp_path: Path):
     (mark,) = (element for element in root.iter() if element.tag.endswith("circle"))
     (line,) = (element for element in root.iter() if element.tag.endswith("polyline"))
     places = [tuple(map(float, place.split(","))) for place in str(line.get("points")).split()]
-    assert len(places) == 3
+    assert len(places) == 4  # in the order of the thresholds
     assert (float(str(mark.get("cx"))), float(str(mark.get("cy")))) == places[1]
     widths, heights = np.diff(places, axis=0).T
-    assert widths[0] == pytest.approx(widths[1])  # a twentieth of the known each
-    assert heights[0] == pytest.approx(heights[1])  # a quarter of the others each, upward
-    assert heights[0] < 0 < widths[0]
+    assert widths[0] == pytest.approx(widths[2])  # a twentieth of the known each
+    assert widths[1] == 0
+    assert heights == pytest.approx(heights[0] * np.array([1.0, 0.2, 0.8]), abs=0.2)  # of a quarter of the others
+    assert widths[0] < 0 < heights[0]
 
 
 def _words(path: Path) -> set[str]:

@@ -9,7 +9,7 @@ from tilted_table import UP, in_level_frame, tilted_detection
 from toy_wedge import camera_at
 
 from gfp_grasp.level import make_level_view
-from gfp_grasp.register.occlusion import behind_occluder, cut_off
+from gfp_grasp.register.occlusion import behind_occluder, cut_off, is_cut_off
 from gfp_grasp.transforms import apply_T, make_T
 from gfp_grasp.types import DepthImage, PointCloud
 
@@ -78,6 +78,7 @@ def test_what_a_view_shows_nearer_along_one_end_hides_how_the_object_goes_on(col
     detection = replace(tilted_detection(view.points()[mask], view.viewpoint), view=view, mask=mask)
     evidence = make_level_view(detection)
     found = behind_occluder(evidence)
+    assert is_cut_off(evidence) is hides
     if not hides:
         assert found is evidence
         return
@@ -94,6 +95,14 @@ def test_what_a_view_shows_nearer_along_one_end_hides_how_the_object_goes_on(col
     apart = replace(detection, view=replace(view, depth_m=depth), mask=beside & (depth == np.float32(0.8)))
     whole = make_level_view(apart)
     assert behind_occluder(whole) is whole
+
+
+def test_an_end_is_hidden_where_a_clear_edge_or_the_cut_of_the_evidence_says_so():
+    evidence, normal, _ = _pillar(SIDE, above_m=0.2)
+    assert is_cut_off(evidence)
+    unknown = replace(evidence, cloud=PointCloud(evidence.cloud.points, None), silhouette=None)
+    assert not is_cut_off(unknown)
+    assert is_cut_off(replace(unknown, cut=normal))
 
 
 def test_without_a_straight_edge_nothing_is_known_beyond_what_faces_the_viewpoint():
@@ -125,6 +134,7 @@ def test_a_ball_has_no_straight_edge():
     points = 0.05 * directions[directions @ viewpoint > 0.06]
     evidence = make_level_view(tilted_detection(points, viewpoint))
     assert cut_off(evidence).cut is None
+    assert not is_cut_off(evidence)
 
 
 def _facing_plate(flat: np.ndarray):

@@ -15,7 +15,14 @@ from gfp_grasp.train.openset import fit_logistic, fit_models, rows_of_thing
 
 
 def row(sort: str, cd_m: float | None = 0.004, **more: Any) -> OpenSetRow:
-    values: dict[str, Any] = {"kind": "mug", "number": 3, "sight": "plain", "look": (1.0, 2.0), "hull_cd_m": 0.01}
+    values: dict[str, Any] = {
+        "kind": "mug",
+        "number": 3,
+        "sight": "plain",
+        "cut_off": False,
+        "look": (1.0, 2.0),
+        "hull_cd_m": 0.01,
+    }
     fit = (
         {"fit": (0.5, 0.5, -4.0, 0.0, 0.0), "misfit": (0.01, 0.0, 0.0, 0.2), "named": "mug"} if cd_m is not None else {}
     )
@@ -89,6 +96,7 @@ def test_a_thing_of_a_class_is_seen_with_its_class_and_without_it(monkeypatch: p
     assert 0.0015 < first.cd_m < 0.5 * first.hull_cd_m
     assert first.classfree_cd_m is None
     assert first.look[0] < second.look[0]
+    assert not any(each.cut_off for each in found)  # as all of them are seen plainly here
 
 
 def test_mixtures_are_of_no_class_of_the_library(monkeypatch: pytest.MonkeyPatch) -> None:

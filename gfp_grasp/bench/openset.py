@@ -59,8 +59,8 @@ def is_unknown(row: OpenSetRow, threshold: float) -> bool:
         return True
     unknown = 0.0
     if threshold < 1:
-        unknown = probability_unknown(row.look, row.fit)
-        if unknown >= threshold or probability_by_look(row.look) >= min(threshold, LOOK_ENOUGH):
+        unknown, by_look = probability_unknown(row.look, row.fit), probability_by_look(row.look)
+        if max(unknown, by_look) >= threshold or (by_look >= LOOK_ENOUGH and not row.cut_off):
             return True
     return bool(Misfit(*row.misfit).faults(unknown=unknown))
 

@@ -67,7 +67,8 @@ def write_operating_curve(curves: Mapping[str, Sequence[Mapping[str, float]]], t
     """Draw how many things of no class are caught against how many of a class are lost, over all thresholds.
 
     Args:
-        curves: {views: points with "threshold", "lost" and the shares that are caught}, of `bench_openset`.
+        curves: {views: points in the order of their thresholds, with "threshold", "lost" and the shares that are
+            caught}, of `bench_openset`.
         threshold: The one whose points are marked.
         path: An .svg file.
 
@@ -92,7 +93,7 @@ def write_operating_curve(curves: Mapping[str, Sequence[Mapping[str, float]]], t
     for number, (views, name) in enumerate(rows):
         colour, (words, dashes) = LINES[list(curves).index(views) % len(LINES)], _CAUGHT[name]
         shown = [point for point in curves[views] if point["lost"] <= _MOST_LOST]
-        drawn = " ".join(f"{x:.1f},{y:.1f}" for x, y in sorted(at(point, name) for point in shown))
+        drawn = " ".join(f"{x:.1f},{y:.1f}" for x, y in (at(point, name) for point in shown))
         lines.append(f'<polyline points="{drawn}" fill="none" stroke="{colour}" stroke-width="2"{dashes}/>')
         for x, y in (at(point, name) for point in shown if point["threshold"] == threshold):
             lines.append(f'<circle cx="{x:.1f}" cy="{y:.1f}" r="4" fill="{colour}"/>')

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 
 from gfp_grasp.register.config import STARTS, FitConfig, RefineConfig, icp_config, pcrnet_config, size_of_extents
 from gfp_grasp.register.fit import fit_best, fit_primitive, part_is_seen
+from gfp_grasp.register.occlusion import is_cut_off
 from gfp_grasp.register.starts import make_starts
 from gfp_grasp.register.state import PoseShape
 
@@ -20,6 +21,7 @@ __all__ = [
     "fit_best",
     "fit_primitive",
     "icp_config",
+    "is_cut_off",
     "make_starts",
     "mlp",
     "network_input",

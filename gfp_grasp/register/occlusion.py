@@ -92,6 +92,14 @@ def cut_off(evidence: LevelView, *, edge: str | None = "clear") -> LevelView:
     return replace(answer, cut=cut, floor_sigma_m=(above, np.inf if hides_foot else below))
 
 
+def is_cut_off(evidence: LevelView) -> bool:
+    """Whether something nearer hides an end of the object, as the view shows it, or else a clear edge of the points."""
+    if evidence.silhouette is None or evidence.viewpoint is None:
+        return evidence.cut is not None
+    seen = behind_occluder(evidence) if evidence.silhouette.certain else cut_off(evidence)
+    return seen.cut is not None
+
+
 def behind_occluder(evidence: LevelView) -> LevelView:
     """The evidence with its `cut`, where the view shows something nearer along one end of the object; else itself.
 

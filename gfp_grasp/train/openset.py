@@ -29,6 +29,7 @@ from gfp_grasp.openset import LogisticModel, evidence_of_fit, evidence_of_look
 from gfp_grasp.parallel import Progress, pmap
 from gfp_grasp.primitives import PrimitiveLibrary
 from gfp_grasp.recognition import recognise
+from gfp_grasp.register import is_cut_off
 from gfp_grasp.shapes import FAMILIES, TRAFFIC
 from gfp_grasp.train.classfree_data import PLAIN, SeenThing, SightConfig, Thing, draw_things, seen_things
 from gfp_grasp.train.loop import command_line
@@ -71,6 +72,7 @@ class OpenSetRow:
         number: Number of the thing within it.
         sort: "known"; "left_out", whose class the library lacks; or "mixture".
         sight: How it was seen, one of SIGHTS.
+        cut_off: Whether an end of it is hidden, of `is_cut_off`.
         look: Of `evidence_of_look`.
         fit: Of `evidence_of_fit`; None where no primitive could be fitted.
         misfit: Numbers of the `Misfit` of the completed primitive, likewise.
@@ -84,6 +86,7 @@ class OpenSetRow:
     number: int
     sort: str
     sight: str
+    cut_off: bool
     look: tuple[float, ...]
     fit: tuple[float, ...] | None = None
     misfit: tuple[float, ...] | None = None
@@ -156,6 +159,7 @@ def _rows(seen: SeenThing, libraries: Mapping[str, PrimitiveLibrary], sight: str
             number=thing.number,
             sort=sort,
             sight=sight,
+            cut_off=is_cut_off(view),
             look=look,
             hull_cd_m=hull_cd_m,
             classfree_cd_m=classfree_cd_m,
