@@ -77,9 +77,9 @@ def test_surface_where_nothing_was_seen_to_be_is_counted_by_its_area() -> None:
 @pytest.mark.parametrize(
     ("misfit", "told"),
     [
-        (Misfit(0.399, 0.099, 0.199, 1.59), []),
+        (Misfit(0.399, 0.199, 0.199, 1.59), []),
         (Misfit(0.41, 0.0, 0.0, 0.0), ["its surface is 41% of the object's length away from what was seen of it"]),
-        (Misfit(0.0, 0.11, 0.0, 0.0), ["11% of what was seen of the object is far from its surface"]),
+        (Misfit(0.0, 0.21, 0.0, 0.0), ["21% of what was seen of the object is far from its surface"]),
         (Misfit(0.0, 0.0, 0.21, 0.0), ["21% of it lies where nothing was seen to be"]),
         (Misfit(0.0, 0.0, 0.0, 1.7), ["it reaches 1.7 lengths beyond what was seen"]),
     ],
@@ -88,12 +88,13 @@ def test_what_cannot_be_is_told(misfit: Misfit, told: list[str]) -> None:
     assert misfit.faults() == told
 
 
-def test_what_is_as_likely_of_no_class_does_not_reach_far_beyond_what_was_seen() -> None:
-    far, near = (Misfit(off_points=0.0, away=0.0, in_free_space=0.0, beyond=beyond) for beyond in (0.61, 0.59))
+def test_the_surface_of_what_is_as_likely_of_no_class_has_to_be_nearer_to_what_was_seen() -> None:
+    far, off = Misfit(0.0, 0.0, 0.0, 0.61), Misfit(0.0, 0.11, 0.0, 0.0)
     assert far.faults(unknown=0.5) == ["it reaches 0.6 lengths beyond what was seen"]
-    assert far.faults(unknown=0.49) == []
-    assert near.faults(unknown=0.99) == []
-    assert far.faults(unknown=0.99, of_traffic=True) == []
+    assert off.faults(unknown=0.5) == ["11% of what was seen of the object is far from its surface"]
+    assert far.faults(unknown=0.49) == off.faults(unknown=0.49) == []
+    assert Misfit(0.399, 0.099, 0.199, 0.59).faults(unknown=0.99) == []
+    assert far.faults(unknown=0.99, of_traffic=True) == off.faults(unknown=0.99, of_traffic=True) == []
 
 
 def test_a_lorry_that_is_seen_from_an_end_may_reach_far_beyond_it() -> None:
