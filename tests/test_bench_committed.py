@@ -29,11 +29,13 @@ from gfp_grasp.bench.hollow import HollowRow
 from gfp_grasp.bench.hostile import HostileRow
 from gfp_grasp.bench.methods import FORMER_NAMES
 from gfp_grasp.bench.openset import report_of
+from gfp_grasp.bench.paper_nets import PAPER
 from gfp_grasp.bench.peer_trials import IN_SIMULATOR, unpacked
 from gfp_grasp.bench.ready import by_group
 from gfp_grasp.bench.ready_rows import SceneRow, ViewRow
 from gfp_grasp.bench.registration import FitRow
 from gfp_grasp.bench.rows import CompletionRow
+from gfp_grasp.bench.search import SearchConfig, front_of, name_of
 from gfp_grasp.completers import COMPLETERS, PEER_COMPLETERS
 from gfp_grasp.envs import TrialSettings
 from gfp_grasp.score import Report, ScoreConfig, ScoreRow
@@ -170,6 +172,15 @@ def test_the_ablation_was_made_with_the_defaults_and_has_every_row():
     for row in report["rows"].values():
         assert len(row["cd_units"]) == len(ITERATIONS) == 7
         assert row["thirds"][2] == row["cd_units"][4]
+
+
+def test_the_search_was_made_with_the_defaults_and_its_front_follows_from_its_networks():
+    report = committed("search")
+    assert report["settings"] == asdict(SearchConfig())
+    assert len({row["name"] for row in report["trials"]}) == len(report["trials"]) == 40
+    assert report["front"] == front_of(report["trials"])
+    assert report["paper"] == report["trials"][0]
+    assert report["paper"]["name"] == name_of(PAPER)
 
 
 @pytest.mark.parametrize("protocol", ["standard", "fallen", "hidden", "noisy"])
