@@ -50,8 +50,8 @@ class CompleteConfig:
         optional_parts: "card" keeps a part as the card of its class says; "seen" leaves out every part that no point
             supports, "always" none.
         unknown_above: Probability of being of no class from which on the class-free completion answers; 1 for never.
-            Where the look alone tells it, and nothing hides an end of the object, 0.8 is enough. Nobody asks it of what
-            a LiDAR saw.
+            Where the look alone tells it, and nothing hides an end of the object, 0.8 is enough, whatever is asked
+            for below 1. Nobody asks it of what a LiDAR saw.
         fall_back: Check what is returned against the points, the free space and their reach: what fails gives way to
             the class-free completion, and that to the hull of the points.
         collision: Budget of the convex parts, which are made at first access.

@@ -19,7 +19,8 @@ _IN_FREE = 0.05  # of the longest side, that a surface has to lie in free space 
 # No good answer to 480 views of the validation split, hidden and noisy ones among them, exceeds 0.39, 0.07, 0.02 and
 # 1.04; but a thing of which the half is hidden may go on by as much as was seen, and more.
 _OFF_POINTS, _MOST_AWAY, _IN_FREE_SPACE, _BEYOND = 0.4, 0.2, 0.2, 1.6
-_MOST_AWAY_IN_DOUBT, _BEYOND_IN_DOUBT = 0.1, 0.6  # of a thing that is as likely of no class
+# These hold where the thing is as likely of no class as of one: there some good answers are lost, and more bad ones.
+_MOST_AWAY_IN_DOUBT, _BEYOND_IN_DOUBT = 0.1, 0.6
 
 
 @dataclass(frozen=True)

@@ -182,7 +182,8 @@ def test_parts_of_a_bent_cup_are_bound_as_ever() -> None:
         parts = deform_parts(TEMPLATE, moved, count=count, max_vertices=most)
         # Sizes, not corners: where three points are in line, rounding says which of them is a corner.
         solids = [trimesh.Trimesh(part.vertices, part.faces) for part in parts]
-        assert_known(f"deformed parts {count}", [[*solid.center_mass, solid.volume * 1e3] for solid in solids])
+        sizes = [[*solid.center_mass, *solid.extents, solid.volume * 1e3] for solid in solids]
+        assert_known(f"deformed parts {count}", sizes)
 
 
 def test_deformed_parts_are_measured_at_three_hundred_places() -> None:

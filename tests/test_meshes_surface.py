@@ -180,5 +180,10 @@ def test_the_volume_within_a_mesh_is_nothing_where_it_is_no_volume() -> None:
     turned.faces[3] = turned.faces[3][::-1]
     assert [enclosed_m3(mesh) for mesh in (inside_out, open_box, turned)] == [0.0, 0.0, 0.0]
     assert not any(mesh.is_volume for mesh in (inside_out, open_box, turned))
-    hollow = trimesh.util.concatenate([box, box.copy().apply_transform(np.diag([-1.0, 1.0, 1.0, 1.0]))])
-    assert enclosed_m3(hollow) == pytest.approx(0.012)
+    core = trimesh.creation.box(extents=(0.05, 0.1, 0.1)).apply_translation((5.0, -2.0, 1.0))
+    core.invert()
+    assert enclosed_m3(together(box, core)) == pytest.approx(0.0055)  # hollow
+    nowhere = box.copy()
+    nowhere.vertices[2] = np.nan
+    assert enclosed_m3(nowhere) == 0.0
+    assert enclosed_m3(trimesh.Trimesh(box.vertices, np.zeros((0, 3), dtype=int), process=False)) == 0.0

@@ -25,7 +25,7 @@ def surface_net(field: np.ndarray, *, origin: np.ndarray, cell_m: float) -> trim
     joined: thin walls stay whole. Beyond the grid is outside.
 
     Args:
-        field: (x, y, z), of any unit, negative inside.
+        field: (x, y, z), finite, of any unit, negative inside.
         origin: (3,) m, place of the first value.
         cell_m: Distance of two values.
 
@@ -35,7 +35,7 @@ def surface_net(field: np.ndarray, *, origin: np.ndarray, cell_m: float) -> trim
     field = np.pad(np.asarray(field, dtype=np.float64), 1, constant_values=max(float(np.abs(field).max()), 1.0))
     field = _without_crosses(field)
     inside = (field < 0).ravel()
-    # What runs over the end of a row, here and below, is of the padding, which is outside: no surface is there.
+    # What runs over the end of a row, here and below, belongs to the padding, which is outside: no surface is there.
     strides = _strides(field.shape)
     pattern = np.zeros(inside.size, dtype=np.uint8)
     for c, offset in enumerate(_CORNERS @ strides):

@@ -43,14 +43,15 @@ def vertex_normals(vertices: np.ndarray, faces: np.ndarray) -> np.ndarray:
 def enclosed_m3(mesh: trimesh.Trimesh) -> float:
     """Volume within a mesh, m3; 0 where trimesh's `is_volume` is False: it is open, not wound one way, or inside out.
 
-    That takes three times as long, for the moments of inertia.
+    `is_volume` takes three times as long: it computes the moments of inertia, too.
     """
-    if not (mesh.is_watertight and mesh.is_winding_consistent):
+    if not (len(mesh.faces) and mesh.is_watertight and mesh.is_winding_consistent):
         return 0.0
     triangles = np.asarray(mesh.vertices)[np.asarray(mesh.faces)]
     triangles = triangles - triangles[0, 0]
     doubled = np.einsum("fi,fi->f", triangles[:, 0], triangle_normals(triangles))
-    return max(float(doubled.sum()) / 6, 0.0)
+    volume = float(doubled.sum()) / 6
+    return volume if 0 < volume < np.inf else 0.0
 
 
 def sample_surface(

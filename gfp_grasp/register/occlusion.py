@@ -93,7 +93,14 @@ def cut_off(evidence: LevelView, *, edge: str | None = "clear") -> LevelView:
 
 
 def is_cut_off(evidence: LevelView) -> bool:
-    """Whether something nearer hides an end of the object, as the view shows it, or else a clear edge of the points."""
+    """Whether something nearer hides an end of the object.
+
+    The view shows it; or, where the silhouette is guessed, a clear straight edge of the points does. Without silhouette
+    or viewpoint it is so where the evidence has a `cut`.
+
+    Args:
+        evidence: One object, in its level frame.
+    """
     if evidence.silhouette is None or evidence.viewpoint is None:
         return evidence.cut is not None
     seen = behind_occluder(evidence) if evidence.silhouette.certain else cut_off(evidence)

@@ -72,7 +72,7 @@ class OpenSetRow:
         number: Number of the thing within it.
         sort: "known"; "left_out", whose class the library lacks; or "mixture".
         sight: How it was seen, one of SIGHTS.
-        cut_off: Whether an end of it is hidden, of `is_cut_off`.
+        cut_off: Whether an end of it is hidden, as `is_cut_off` says.
         look: Of `evidence_of_look`.
         fit: Of `evidence_of_fit`; None where no primitive could be fitted.
         misfit: Numbers of the `Misfit` of the completed primitive, likewise.
