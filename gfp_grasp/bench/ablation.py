@@ -38,7 +38,7 @@ _SPANS = 3
 
 @dataclass(frozen=True)
 class AblationConfig(Budget):
-    """Budget of each of fifteen networks, and the noise of one; as it is, twenty minutes of one quiet core.
+    """Budget of each of fifteen networks, and the noise of one; as it is, an hour and a half of one core.
 
     Attributes:
         steps: Number of optimiser steps.
@@ -49,7 +49,7 @@ class AblationConfig(Budget):
         noise_m: Standard deviation of the noise in the noisy row, m.
     """
 
-    steps: int = 800
+    steps: int = 2400
     noise_m: float = 0.01
 
     def __post_init__(self) -> None:

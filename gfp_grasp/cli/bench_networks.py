@@ -15,7 +15,7 @@ _Runs = Annotated[Path, typer.Option(help="Folder of caches and of finished netw
 
 @bench.command()
 def ablation(
-    steps: _Steps = 800,
+    steps: _Steps = 2400,
     limit: _LimitOfClass = 80,
     runs: _Runs = Path("runs"),
     workers: Workers = 1,
