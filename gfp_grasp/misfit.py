@@ -19,8 +19,7 @@ _IN_FREE = 0.05  # of the longest side, that a surface has to lie in free space 
 # No good answer to 480 views of the validation split, hidden and noisy ones among them, exceeds 0.39, 0.07, 0.02 and
 # 1.04; but a thing of which the half is hidden may go on by as much as was seen, and more.
 _OFF_POINTS, _MOST_AWAY, _IN_FREE_SPACE, _BEYOND = 0.4, 0.2, 0.2, 1.6
-# These hold where the thing is as likely of no class as of one: there some good answers are lost, and more bad ones.
-_MOST_AWAY_IN_DOUBT, _BEYOND_IN_DOUBT = 0.1, 0.6
+_MOST_AWAY_IN_DOUBT = 0.1  # where the thing is as likely of no class as of one
 
 
 @dataclass(frozen=True)
@@ -46,20 +45,16 @@ class Misfit:
         Args:
             of_traffic: It is a vehicle or a person. A lorry that is seen from an end goes on for many times what is
                 seen, and its cab is of many forms; a poor lorry is still nearer to it than an answer of no class.
-            unknown: Probability of being of no class. From one half on the surface has to come nearer to what was seen,
-                and may go on less far beyond it.
+            unknown: Probability of being of no class. From one half on the surface has to come nearer to what was seen.
         """
-        most_away, most_beyond = _MOST_AWAY, _BEYOND
-        if unknown >= 0.5:
-            most_away, most_beyond = _MOST_AWAY_IN_DOUBT, _BEYOND_IN_DOUBT
         faults = []
         if self.off_points > _OFF_POINTS:
             faults.append(f"its surface is {self.off_points:.0%} of the object's length away from what was seen of it")
-        if self.away > most_away and not of_traffic:
+        if self.away > (_MOST_AWAY if unknown < 0.5 else _MOST_AWAY_IN_DOUBT) and not of_traffic:
             faults.append(f"{self.away:.0%} of what was seen of the object is far from its surface")
         if self.in_free_space > _IN_FREE_SPACE:
             faults.append(f"{self.in_free_space:.0%} of it lies where nothing was seen to be")
-        if self.beyond > most_beyond and not of_traffic:
+        if self.beyond > _BEYOND and not of_traffic:
             faults.append(f"it reaches {self.beyond:.1f} lengths beyond what was seen")
         return faults
 

@@ -132,11 +132,11 @@ def test_the_look_alone_need_not_be_as_sure_as_look_and_fit_unless_an_end_is_hid
         assert not made.cut_off.calls
 
 
-def test_an_answer_in_doubt_that_reaches_far_gives_way(monkeypatch: pytest.MonkeyPatch) -> None:
-    far = replace(GOOD, beyond=0.8)
-    assert Answers(monkeypatch, unknown=0.4, misfits=[far]).answer().made_by == "primitive"
-    shape = Answers(monkeypatch, unknown=0.6, misfits=[far, GOOD]).answer()
-    assert (shape.made_by, shape.note) == ("classfree", "it reaches 0.8 lengths beyond what was seen")
+def test_an_answer_in_doubt_that_misses_a_tenth_of_the_points_gives_way(monkeypatch: pytest.MonkeyPatch) -> None:
+    off = replace(GOOD, away=0.15)
+    assert Answers(monkeypatch, unknown=0.4, misfits=[off]).answer().made_by == "primitive"
+    shape = Answers(monkeypatch, unknown=0.6, misfits=[off, GOOD]).answer()
+    assert (shape.made_by, shape.note) == ("classfree", "15% of what was seen of the object is far from its surface")
 
 
 @pytest.mark.parametrize(("by_look", "unlikely"), [(0.69, True), (0.7, False)])
