@@ -21,9 +21,9 @@ from gfp_grasp.level import mark_observed
 from gfp_grasp.meshes import crossing_faces
 from gfp_grasp.misfit import misfit_of
 from gfp_grasp.openset import (
-    LOOK_ENOUGH,
     evidence_of_fit,
     evidence_of_look,
+    is_unknown_by_look,
     probability_by_look,
     probability_unknown,
 )
@@ -115,7 +115,7 @@ def answer(view: LevelView, detection: Detection, config: CompleteConfig, clock:
     asked = not class_is_given(detection) and config.unknown_above < 1 and not of_traffic
     look = evidence_of_look(detection, config.library) if asked else np.empty(0)
     unknown = probability_by_look(look) if asked else 0.0
-    is_unknown = asked and (unknown >= config.unknown_above or (unknown >= LOOK_ENOUGH and not is_cut_off(view)))
+    is_unknown = asked and is_unknown_by_look(unknown, config.unknown_above, lambda: is_cut_off(view))
     if not is_unknown:
         try:
             shape = by_class(view, detection, config, clock, unlikely=unknown < _DOUBTFUL)

@@ -8,7 +8,7 @@ both hold for a user's own.
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -23,7 +23,7 @@ from gfp_grasp.types import Detection, FittedPrimitive
 # Probability by the look alone that is enough for an answer of no class, unless an end of the object is hidden: a class
 # knows more about how the object goes on. On plain views of results/openset.json 0.6 % of the things of a class look
 # so, and 64 % of those of no class. To fit these takes longer than the answer does.
-LOOK_ENOUGH = 0.8
+_LOOK_ENOUGH = 0.8
 _NEAREST = 0.005  # of distances from prototypes, below which they are not told apart
 _SURENESS = (0.02, 0.999)
 _LEAST_OFF = 0.003
@@ -99,6 +99,17 @@ def load_models() -> tuple[LogisticModel, LogisticModel]:
 def probability_by_look(look: Sequence[float] | np.ndarray) -> float:
     """The probability of being of no class, by the look alone (`evidence_of_look`)."""
     return load_models()[0].probability(look)
+
+
+def is_unknown_by_look(probability: float, above: float, cut_off: Callable[[], bool]) -> bool:
+    """Whether the look alone tells that an object is of no class.
+
+    Args:
+        probability: Of `probability_by_look`.
+        above: Probability from which on it is of none, hidden or not.
+        cut_off: Tells whether an end of the object is hidden; asked only where that decides.
+    """
+    return probability >= above or (probability >= _LOOK_ENOUGH and not cut_off())
 
 
 def probability_unknown(look: Sequence[float] | np.ndarray, fit: Sequence[float] | np.ndarray) -> float:

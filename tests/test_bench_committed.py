@@ -19,9 +19,11 @@ from gfp_grasp.bench import (
     hollow,
     hostile,
     methods,
+    peer_trials,
     peers,
     registration,
     rows,
+    search,
 )
 from gfp_grasp.bench.ablation import ITERATIONS
 from gfp_grasp.bench.collision import PartsRow
@@ -29,13 +31,10 @@ from gfp_grasp.bench.hollow import HollowRow
 from gfp_grasp.bench.hostile import HostileRow
 from gfp_grasp.bench.methods import FORMER_NAMES
 from gfp_grasp.bench.openset import report_of
-from gfp_grasp.bench.paper_nets import PAPER
-from gfp_grasp.bench.peer_trials import IN_SIMULATOR, unpacked
 from gfp_grasp.bench.ready import by_group
 from gfp_grasp.bench.ready_rows import SceneRow, ViewRow
 from gfp_grasp.bench.registration import FitRow
 from gfp_grasp.bench.rows import CompletionRow
-from gfp_grasp.bench.search import SearchConfig, front_of, name_of
 from gfp_grasp.completers import COMPLETERS, PEER_COMPLETERS
 from gfp_grasp.envs import TrialSettings
 from gfp_grasp.score import Report, ScoreConfig, ScoreRow
@@ -140,14 +139,16 @@ def test_figures_of_the_comparison_with_other_networks_follow_from_their_trials(
     assert len(compared) >= 12
     for group, figures in compared.items():
         records = [trial for trial in report["trials"] if trial["group"] == group]
-        found = [CompletionRow(**row) for row in unpacked(records, report["settings"]["groups"][group], {})]
+        found = [CompletionRow(**row) for row in peer_trials.unpacked(records, report["settings"]["groups"][group], {})]
         assert set(figures) >= set(PEER_COMPLETERS)
         for method, of_method in figures.items():
             again = rows.summarise([row for row in found if row.method == method])
             assert {figure: again[figure] for figure in of_method} == of_method
         for method, gain in report["paired"][group].items():
             assert rows.paired_gain(found, "gfpnet", method) == gain
-    grasped = [ScoreRow(**peers._own(trial)) for trial in report["trials"] if trial["group"] == IN_SIMULATOR]
+    grasped = [
+        ScoreRow(**peers._own(trial)) for trial in report["trials"] if trial["group"] == peer_trials.IN_SIMULATOR
+    ]
     scored = Report(report["settings"]["score"], tuple(grasped))
     assert json_of(scored.completers()) == report["score"]["completers"]
     assert set(report["cost"]) >= set(PEER_COMPLETERS)
@@ -176,11 +177,11 @@ def test_the_ablation_was_made_with_the_defaults_and_has_every_row():
 
 def test_the_search_was_made_with_the_defaults_and_its_front_follows_from_its_networks():
     report = committed("search")
-    assert report["settings"] == asdict(SearchConfig())
+    assert report["settings"] == asdict(search.SearchConfig())
     assert len({row["name"] for row in report["trials"]}) == len(report["trials"]) == 40
-    assert report["front"] == front_of(report["trials"])
+    assert report["front"] == search.front_of(report["trials"])
     assert report["paper"] == report["trials"][0]
-    assert report["paper"]["name"] == name_of(PAPER)
+    assert report["paper"]["name"] == search.name_of(search.PAPER)
 
 
 @pytest.mark.parametrize("protocol", ["standard", "fallen", "hidden", "noisy"])

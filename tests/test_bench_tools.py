@@ -123,7 +123,7 @@ def test_an_operating_curve_marks_the_threshold_that_was_chosen(tmp_path: Path):
     widths, heights = np.diff(places, axis=0).T
     assert widths[0] == pytest.approx(widths[2])  # a twentieth of the known each
     assert widths[1] == 0
-    assert heights == pytest.approx(heights[0] * np.array([1.0, 0.2, 0.8]), abs=0.2)  # of a quarter of the others
+    assert heights == pytest.approx(heights[0] * np.array([1.0, 0.2, 0.8]))  # of a quarter of the others
     assert widths[0] < 0 < heights[0]
 
 

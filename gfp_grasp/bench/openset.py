@@ -9,7 +9,7 @@ import numpy as np
 
 from gfp_grasp.complete import CompleteConfig
 from gfp_grasp.misfit import Misfit
-from gfp_grasp.openset import LOOK_ENOUGH, probability_by_look, probability_unknown
+from gfp_grasp.openset import is_unknown_by_look, probability_by_look, probability_unknown
 from gfp_grasp.parallel import Progress
 from gfp_grasp.train import SIGHTS, OpenSetConfig, OpenSetRow, openset_rows
 
@@ -59,8 +59,9 @@ def is_unknown(row: OpenSetRow, threshold: float) -> bool:
         return True
     unknown = 0.0
     if threshold < 1:
-        unknown, by_look = probability_unknown(row.look, row.fit), probability_by_look(row.look)
-        if max(unknown, by_look) >= threshold or (by_look >= LOOK_ENOUGH and not row.cut_off):
+        unknown = probability_unknown(row.look, row.fit)
+        by_look = is_unknown_by_look(probability_by_look(row.look), threshold, lambda: row.cut_off)
+        if by_look or unknown >= threshold:
             return True
     return bool(Misfit(*row.misfit).faults(unknown=unknown))
 
